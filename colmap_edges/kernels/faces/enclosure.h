@@ -168,6 +168,9 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
          ++j)
       cell[points.planes[j]] = true;
   }
+  // Nothing goes on where nothing but background is shown.
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell)
+    if (view.empty[cell]) std::fill_n(&touched[cell * count], count, true);
   std::vector<Vec3> inverse_depths;
   for (const Plane& plane : scene.planes) inverse_depths.push_back(view.InverseDepthOf(plane));
   TouchWherePlanesMeet(view, labels, inverse_depths, &touched);

@@ -33,8 +33,7 @@ AGREEING_SHARE = 1 / 2  # minimum share of agreeing views among those that conta
 MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agreeing view
 MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per agreeing view
 # Minimum share of the accepted cells that are PLAIN_CELLS or farther from all observed points:
-# of all faces, and of each: where points lie on most of them, the mesh follows these, and faces add
-# their errors only.
+# where points lie on most faces, the mesh follows them, and faces add their errors only.
 MIN_PLAIN = 1 / 10
 PLAIN_CELLS = 2.0
 MAX_CLIPPED = 1 / 2  # maximum share of overexposed accepted cells

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import BoolArray, Int32Array, IntArray
+from colmap_edges.core.arrays import Int32Array, IntArray
 from colmap_edges.core.checks import check_arrays, check_values
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
@@ -111,9 +111,9 @@ def find_faces(
 ) -> Faces:
     """Find the planar faces between 3D edges and SfM points.
 
-    Where points are on all of a face, the mesh has them already, and gets none of that face. If it
-    is so on nearly all faces, or if the images are overexposed, which do not show what lies on a
-    face, the mesh gets no points of faces, and those of a first labelling are returned.
+    Where points are on nearly all faces, the mesh has them already; overexposed images do not show
+    what lies on a face. Then the mesh gets no points of faces, and those of a first labelling are
+    returned.
 
     Args:
         model: gives the V views and the SfM points.
@@ -124,7 +124,7 @@ def find_faces(
         bodies: what views see that is not background; there are no faces before it.
     """
     pictures = [grids.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
-    known = evidence = gather_evidence(model, edges)
+    evidence = gather_evidence(model, edges)
     planes = find_planes(evidence, model.camera_centers, np.random.default_rng(random_seed))
     if not len(planes.offsets):
         return NO_FACES
@@ -132,7 +132,7 @@ def find_faces(
     weights = EvidenceWeights(correlation=0.0)
     given = (model, pictures, bodies, num_threads)
     first = label_scene(*given, evidence, planes, 1, weights)
-    plain = are_plain(first.samples, model.views, pictures, known)[first.accepted]
+    plain = are_plain(first.samples, model.views, pictures, evidence)[first.accepted]
     seen = (first.samples, first.accepted, model.views, pictures)
     if not len(plain) or plain.mean() < MIN_PLAIN or are_overexposed(*seen):
         return first.faces(NO_FACES.points, NO_FACES.face_ids)
@@ -142,8 +142,7 @@ def find_faces(
         evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
         planes = find_planes(evidence, model.camera_centers, np.random.default_rng(random_seed))
     last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights())
-    plain = are_plain(last.samples, model.views, pictures, known)
-    chosen = thinned(last.samples, last.on_plain_faces(plain))
+    chosen = thinned(last.samples, last.accepted)
     points = points_of_samples(last.samples, chosen, model.views, pictures)
     return last.faces(points, last.face_ids[chosen])
 
@@ -170,12 +169,6 @@ class LabelledScene:
     def accepted(self) -> IntArray:
         """Indices of the accepted samples."""
         return np.flatnonzero(self.face_ids >= 0)
-
-    def on_plain_faces(self, plain: BoolArray) -> IntArray:
-        """The accepted samples on faces of whose samples, (S,) if `plain`, some are plain."""
-        ids = self.face_ids[self.accepted]
-        shares = np.bincount(ids, plain[self.accepted]) / np.maximum(np.bincount(ids), 1)
-        return np.asarray(self.accepted[shares[ids] >= MIN_PLAIN])
 
     def accepted_labels(self, pictures: Sequence[Grid]) -> list[Int32Array]:
         """(rows, columns) labels of each view, -1 also where they are not accepted."""

@@ -18,7 +18,7 @@ from colmap_edges.surfaces.faces.enclosure import (
     are_enclosed,
     backdrops,
 )
-from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid
+from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid, with_background
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import make_scene
 
@@ -171,8 +171,13 @@ def test_a_floor_goes_on_behind_what_is_enclosed():
     assert floor_is_enclosed(3, more_points=np.array(frame))
 
 
-def floor_is_enclosed(depth_of_wall, backdrop=False, more_points=()):
-    """Whether a place on the floor is."""
+@pytest.mark.parametrize("shows_background", [False, True])
+def test_a_floor_ends_where_only_background_is_shown(shows_background):
+    assert floor_is_enclosed(None, shows_background=shows_background) == shows_background
+
+
+def floor_is_enclosed(depth_of_wall, backdrop=False, more_points=(), shows_background=False):
+    """Whether a place on the floor is; above it is a wall, or no plane."""
     view = View(
         image_id=1,
         name="0.png",
@@ -186,13 +191,17 @@ def floor_is_enclosed(depth_of_wall, backdrop=False, more_points=()):
     grid = blank_grid(view) if backdrop else picture_of(columns / 2 + rows / 3)
     labels = np.zeros(np.array(grid.gray.shape) // CELL_PX, np.int32)
     below = np.arange(len(labels)) + 0.5 - grid.principal[1] / CELL_PX
-    labels[below < grid.focal_px / CELL_PX / 4] = 1
+    above = below < grid.focal_px / CELL_PX / 4
+    labels[above] = -1 if depth_of_wall is None else 1
+    if shows_background:
+        body = np.repeat(~above, CELL_PX)[:, None] & np.ones(grid.gray.shape[1], bool)
+        grid = with_background(view, grid, body)
     count = 200
     line = np.column_stack([np.linspace(-2, 2, count), np.ones(count), np.full(count, 2.0)])
     line = np.concatenate([line, np.reshape(more_points, (-1, 3))])
     seen_by = np.zeros(len(line), np.int32)
     evidence = evidence_of(line, np.arange(len(line) + 1), seen_by, 0.01)
-    planes = Planes(normals=np.eye(3)[1:], offsets=np.array([1.0, depth_of_wall]))
+    planes = Planes(normals=np.eye(3)[1:], offsets=np.array([1.0, depth_of_wall or 4]))
     one = np.ones(1, np.int32)
     samples = Samples(
         points=np.array([[0.1, 1, 2.7]]),

@@ -14,12 +14,7 @@ from colmap_edges.export.faces import write_faces
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
 from colmap_edges.surfaces.faces.evidence import gather_evidence
-from colmap_edges.surfaces.faces.finding import (
-    NO_FACES,
-    LabelledScene,
-    find_faces,
-    label_scene,
-)
+from colmap_edges.surfaces.faces.finding import NO_FACES, find_faces, label_scene
 from colmap_edges.surfaces.faces.grids import cells_in, make_grid
 from colmap_edges.surfaces.faces.hypotheses import find_planes
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights, split_by_view
@@ -54,21 +49,6 @@ def test_every_side_of_the_room_has_points(room):
     x, y, z = points_on(room.faces).T
     sides = [abs(z), abs(z - 2.5), abs(x), abs(x - 4), abs(y), abs(y - 3)]
     assert min(np.sum((side < 0.02) & (y < 3.1)) for side in sides) > 30
-
-
-def labelled_as(face_ids):
-    """A labelled scene of which only the faces of (S,) samples matter."""
-    return LabelledScene(planes=None, labels=None, samples=None, outlined=[], face_ids=face_ids)
-
-
-def test_a_face_with_points_all_over_gets_no_more():
-    """Of two faces a twentieth and a tenth of the samples are plain, of what is no face all are."""
-    face_ids = np.repeat([-1, 0, 1], 20)
-    plain = np.repeat([True, False, False], 20)
-    plain[[20, 40, 41]] = True
-    accepted = labelled_as(face_ids).on_plain_faces(plain)
-    assert accepted.tolist() == list(range(40, 60))
-    assert len(labelled_as(face_ids).on_plain_faces(plain & (face_ids < 0))) == 0
 
 
 def test_no_point_bridges_the_door(room):
