@@ -98,7 +98,13 @@ def make_grid(
 
 
 def with_background(view: View, grid: Grid, body: BoolArray) -> Grid:
-    """The picture with the background that its view's image shows, of a mask (H, W) of the rest."""
+    """The picture with the background of its view's image.
+
+    Args:
+        view: the view.
+        grid: its picture.
+        body: (H, W) foreground of the image, at its size or smaller; the rest is background.
+    """
     shown = usable_at(places_of(view, grid), ~body)
     return replace(grid, background=np.ones(grid.gray.shape, bool) if shown is None else shown)
 

@@ -41,7 +41,7 @@ def free_part(profile: Profile, rays: Rays) -> Profile | None:
     """
     sight, count = rays_that_meet(shell_of(profile), rays), len(profile.places)
     bins = np.rint(np.interp(sight.places, profile.places, np.arange(count))).astype(np.int64)
-    through = np.bincount(bins[sight.through], minlength=count).astype(np.float64)
+    through = np.bincount(bins[sight.through], minlength=count)
     met = np.bincount(bins[~sight.before], minlength=count) + profile.shown.sum(axis=(0, 1))
     around = np.ones(2 * profile.gap + 1)
     passing = convolve(through, around, mode="constant")

@@ -148,8 +148,7 @@ def test_depths_on_needles_without_an_area_change_little_by_their_vertices(scene
     mesh = with_needles(rough_plane()[0])
     ends = mesh.vertices[mesh.faces[: len(mesh.faces) // 3][:, [0, 2]]]
     on_needles, views = ends.mean(axis=1), scene[0].views
-    local = np.stack([on_needles @ view.rotation.T + view.translation for view in views])
-    local = local.reshape(-1, 3)
+    local = np.concatenate([view.cam_from_world(on_needles) for view in views])
     given = Depths(
         views=np.repeat(np.arange(len(views), dtype=np.int32), len(on_needles)),
         rays=local[:, :2] / local[:, 2:],
