@@ -14,9 +14,10 @@ from trials.pictures import looking
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View
-from colmap_edges.evaluation.mesh_errors import evaluate_mesh
+from colmap_edges.evaluation.mesh_errors import against_depth
 from colmap_edges.evaluation.metrics.depth import pixel_centers
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_mesh
+from colmap_edges.evaluation.scenes import reference_of
 from colmap_edges.evaluation.tables import NORMALS, SHARES, markdown
 from colmap_edges.export.edges_json import load_edges
 from colmap_edges.images.files import read_image
@@ -41,11 +42,12 @@ def main() -> None:
 def depth_errors(demo: Path, output: Path) -> str:
     """Table of the errors of depth in all views of both meshes, in the demo's unit."""
     columns = ("mae", "rmse", "median", "p90", *SHARES, *NORMALS)
+    reference = reference_of(demo / "surface.ply", ("all",), load_model(demo / "sparse"))
     rows = []
     for name in MESHES:
-        found = evaluate_mesh(
-            output / name / "mesh.ply", demo / "sparse", demo / "surface.ply", view_names=("all",)
-        )["depth"]["pooled"]
+        mesh = load_mesh(output / name / "mesh.ply")
+        caster = RayCaster(mesh.vertices, mesh.faces)
+        found = against_depth(caster, reference.depths, None)["pooled"]
         rows.append([name.replace("_", " "), *(found[column] for column in columns)])
     return markdown(
         ("depth error in all views", *(name.replace("_", " ") for name in columns)), rows

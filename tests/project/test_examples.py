@@ -1,4 +1,4 @@
-"""The notebooks of docs/examples run from first cell to last on the demo scene."""
+"""The notebooks of docs/examples run from first cell to last, on a small scene."""
 
 import json
 import os
@@ -16,11 +16,13 @@ MAX_BYTES = 20_000
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Where notebooks run: beside a link to the demo scene, as in the repository."""
+def folder(small, tmp_path_factory):
+    """Where notebooks run: with a small scene where the repository has the demo scene."""
     root = tmp_path_factory.mktemp("tree")
-    (root / "tests").mkdir()
-    (root / "tests" / "data").symlink_to(ROOT / "tests" / "data")
+    demo = root / "tests" / "data" / "demo"
+    demo.mkdir(parents=True)
+    (demo / "images").symlink_to(small[0])
+    (demo / "sparse").symlink_to(small[1])
     place = root / "docs" / "examples"
     place.mkdir(parents=True)
     return place
