@@ -1,14 +1,12 @@
 #!/usr/bin/env python3
 """Measure meshes, 3D edges and poses; make the paper's tables over whole data sets.
 
-Commands that make tables reuse the results of finished scenes; remove a scene's folder below
---output_path to redo it.
+Results of finished scenes are reused; remove a scene's folder below --output_path to redo it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
-from functools import wraps
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +19,7 @@ from colmap_edges.core.view import View
 from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import ColmapEdgesError, exit_on_error
 from colmap_edges.evaluation import benchmark, edge_errors, mesh_errors, tables
-from colmap_edges.evaluation.layouts import dtu as dtu_layout
-from colmap_edges.evaluation.layouts import neus, strecha
+from colmap_edges.evaluation.layouts import dtu, neus, strecha
 from colmap_edges.evaluation.layouts.scans import scan_scenes
 from colmap_edges.evaluation.metrics import poses as pose_metrics
 from colmap_edges.evaluation.scenes import Scene, model_scene
@@ -30,8 +27,6 @@ from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.runtime.stages import Stages
-
-Command = Callable[..., Any]
 
 
 @click.group(help=__doc__)
@@ -48,64 +43,7 @@ def pairs(_context: click.Context, _option: click.Parameter, entries: Any) -> di
 
 
 def positions(_context: click.Context, _option: click.Parameter, text: str) -> Container[int]:
-    return dtu_layout.parse_positions(text)
-
-
-def with_options(*options: Command) -> Command:
-    """A decorator that gives a command several options."""
-
-    def decorate(function: Command) -> Command:
-        for option in reversed(options):
-            function = option(function)
-        return function
-
-    return decorate
-
-
-def makes_tables(function: Command) -> Command:
-    """A command that meshes, measures and tabulates the scenes that `function` returns."""
-
-    @wraps(function)
-    def run(
-        output_path: Path,
-        methods: tuple[str, ...],
-        peers: dict[str, str],
-        baseline: str,
-        **values: Any,
-    ) -> None:
-        listed = function(**values)
-        benchmark.run(
-            listed, output_path, methods, peer_paths=peers, baseline=baseline, progress=click.echo
-        )
-        click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))
-
-    return with_options(
-        click.option(
-            "--methods", multiple=True, default=("SfM", "edges", "faces"), show_default=True
-        ),
-        click.option(
-            "--peers",
-            multiple=True,
-            callback=pairs,
-            help="NAME=PATH of a system's results; {scene} in it varies, and {scan} of DTU.",
-        ),
-        click.option("--baseline", default="", help="Row of the average variation; [the first]."),
-        click.option("--output_path", type=Path, required=True, help="Folder for models, tables."),
-    )(run)
-
-
-chooses_scans = with_options(
-    click.option("--scans", type=int, multiple=True, help="Default: the paper's, where present."),
-    click.option("--light", default="", help="Light of images: 'max', or '0_r5000' to '6_r5000'."),
-    click.option(
-        "--positions",
-        default="all",
-        show_default=True,
-        metavar="odd|all|LIST",
-        callback=positions,
-        help="DTU's positions of the camera, counted from 1; a LIST as 1,3,5-9.",
-    ),
-)
+    return dtu.parse_positions(text)
 
 
 @main.command()
@@ -125,69 +63,74 @@ chooses_scans = with_options(
     type=(Path, Path),
     multiple=True,
     metavar="FOLDER REFERENCE",
-    help="A scene of Strecha's.",
+    help="A scene of Strecha's: images with .camera files.",
 )
-@click.option("--dtu", "root", type=Path, help="Root of DTU, official or as MVSNet packs it.")
-@chooses_scans
-@makes_tables
+@click.option(
+    "--dtu",
+    "root",
+    type=Path,
+    help="Root of DTU, official (Rectified/scanN or Cleaned/scanN, Calibration/cal18, Points, "
+    "ObsMask) or MVSNet's (Cameras, Rectified/scanN_train, Depths); or a NeuS/IDR folder (image/, "
+    "cameras*.npz).",
+)
+@click.option(
+    "--dtu_reference",
+    type=Path,
+    help="Of a NeuS/IDR folder: depth maps, mesh, cloud, or the root of the official data; of "
+    "MVSNet's layout: that root.",
+)
+@click.option("--scans", type=int, multiple=True, help="Default: the paper's, where present.")
+@click.option("--light", default="", help="Light of images: 'max', or '0_r5000' to '6_r5000'.")
+@click.option(
+    "--positions",
+    default="all",
+    show_default=True,
+    metavar="odd|all|LIST",
+    callback=positions,
+    help="DTU's positions of the camera, counted from 1; a LIST as 1,3,5-9.",
+)
+@click.option("--methods", multiple=True, default=("SfM", "edges", "faces"), show_default=True)
+@click.option(
+    "--peers",
+    multiple=True,
+    callback=pairs,
+    help="NAME=PATH of a system's results; {scene} in it varies, and {scan} of DTU.",
+)
+@click.option("--baseline", default="", help="Row of the average variation; [the first].")
+@click.option("--output_path", type=Path, required=True, help="Folder for models, tables.")
 def scenes(
     models: tuple[tuple[str, Path, Path, Path], ...],
     unit: str,
     view_names: tuple[str, ...],
     folders: tuple[tuple[Path, Path], ...],
     root: Path | None,
-    scans: tuple[int, ...],
-    **choices: Any,
-) -> list[Scene]:
+    output_path: Path,
+    methods: tuple[str, ...],
+    peers: dict[str, str],
+    baseline: str,
+    **of_dtu: Any,
+) -> None:
     """Compute the paper's tables over COLMAP models, Strecha's and DTU's scenes together."""
     listed = [model_scene(*entry, view_names=view_names, unit=unit) for entry in models]
-    for folder, reference in folders:
-        image_path, camera_path = strecha.find_folders(folder)
-        name = folder.resolve().name
-        listed.append(
-            strecha.images_scene(image_path, reference, name=name, camera_path=camera_path)
-        )
-    listed += [] if root is None else scan_scenes(root, scans, **choices)
+    listed += [strecha.folder_scene(*entry) for entry in folders]
+    listed += [] if root is None else dtu_scenes(root, **of_dtu)
     if not listed:
         raise click.UsageError("give --scene, --strecha or --dtu")
-    return listed
+    benchmark.run(
+        listed, output_path, methods, peer_paths=peers, baseline=baseline, progress=click.echo
+    )
+    click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))
 
 
-@main.command()
-@click.option("--input_path", type=Path, required=True, help="Root of the data, or one folder.")
-@click.option(
-    "--reference_path",
-    type=Path,
-    help="Of a NeuS/IDR folder: depth maps, mesh, cloud, or the root of the official data; of "
-    "MVSNet's layout: that root.",
-)
-@chooses_scans
-@makes_tables
-def dtu(
-    input_path: Path, reference_path: Path | None, scans: tuple[int, ...], **choices: Any
+def dtu_scenes(
+    root: Path, dtu_reference: Path | None, scans: tuple[int, ...], **choices: Any
 ) -> list[Scene]:
-    """Compute the paper's tables from DTU's images.
-
-    Reads the official layout (Rectified/scanN or Cleaned/scanN, Calibration/cal18, Points,
-    ObsMask), MVSNet's (Cameras, Rectified/scanN_train, Depths) or a NeuS/IDR folder (image/,
-    cameras*.npz).
-    """
-    if not neus.is_layout(input_path):
-        return scan_scenes(input_path, scans, reference_root=reference_path, **choices)
-    if choices["light"] or choices["positions"] != dtu_layout.EVERY_POSITION:
+    """DTU's scenes below a root, or the one of a NeuS/IDR folder."""
+    if not neus.is_layout(root):
+        return scan_scenes(root, scans, reference_root=dtu_reference, **choices)
+    if choices["light"] or choices["positions"] != dtu.EVERY_POSITION:
         raise click.UsageError("a NeuS/IDR folder has no --light and no --positions")
-    return [neus.folder_scene(input_path, reference_path)]
-
-
-@main.command("strecha")
-@click.option("--image_path", type=Path, required=True, help="Images, and K.txt if there is one.")
-@click.option("--camera_path", type=Path, help="Folder of NAME.camera; default: the images'.")
-@click.option("--reference_path", type=Path, help="True mesh, cloud, or folder of depth maps.")
-@click.option("--name", default="fountain-P11", show_default=True, help="Name in the tables.")
-@makes_tables
-def strecha_scene(image_path: Path, reference_path: Path | None, **values: Any) -> list[Scene]:
-    """Compute the paper's tables from images with Strecha's .camera files."""
-    return [strecha.images_scene(image_path, reference_path, **values)]
+    return [neus.folder_scene(root, dtu_reference)]
 
 
 @main.command("scene")

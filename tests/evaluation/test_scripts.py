@@ -31,7 +31,7 @@ def write_line3dpp(sparse, path):
 
 def test_dtu_tables_with_a_peer_a_missing_scan_and_again(root, sparse, tmp_path):
     write_line3dpp(sparse, tmp_path / "lines_6.txt")
-    command = ("evaluate.py", "dtu", "--input_path", root, "--output_path", tmp_path / "out")
+    command = ("evaluate.py", "scenes", "--dtu", root, "--output_path", tmp_path / "out")
     command += ("--scans", 6, "--scans", 23, "--methods", "SfM", "--methods", "edges")
     command += ("--peers", f"Line3D++={tmp_path}/lines_{{scan}}.txt")
     done = run_script(*command)
@@ -94,27 +94,28 @@ def test_paper_tables_over_strecha_and_dtu_with_a_peer_of_one_scene(root, sparse
     assert "no scene has a result of Line3D++" in done.stderr
 
 
-@pytest.mark.parametrize(("layout", "script"), [("neus", "dtu"), ("strecha", "strecha")])
-def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path, layout, script):
+def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path):
     images = root / "Rectified" / "scan6"
-    paths = ("--image_path", images, "--input_path", sparse, "--output_path", tmp_path / "scan6")
-    run_script("evaluate.py", "layout", "--layout", layout, *paths)
+    for layout in ("neus", "strecha"):
+        paths = ("--image_path", images, "--input_path", sparse, "--output_path", tmp_path / layout)
+        run_script("evaluate.py", "layout", "--layout", layout, *paths)
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
-    name = "--input_path" if layout == "neus" else "--image_path"
-    command = ("evaluate.py", script, name, tmp_path / "scan6", "--methods", "SfM")
-    run_script(*command, "--reference_path", reference, "--output_path", tmp_path / "out")
-    (entry,) = json.loads((tmp_path / "out" / "evaluation.json").read_text()).values()
-    assert entry["methods"]["SfM"]["mesh"]["median"] < 0.1
-    assert entry["methods"]["SfM"]["mesh"]["coverage"] > 0.9
-    assert list((tmp_path / "out").rglob("depth_*.png"))
-    if layout == "neus":
-        done = run_script(*command, "--positions", "odd", "--output_path", tmp_path, code=2)
-        assert "a NeuS/IDR folder has no --light and no --positions" in done.stderr
+    command = ("evaluate.py", "scenes", "--dtu", tmp_path / "neus", "--dtu_reference", reference)
+    command += ("--strecha", tmp_path / "strecha", reference, "--methods", "SfM")
+    run_script(*command, "--output_path", tmp_path / "out")
+    results = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert set(results) == {"neus", "strecha"}
+    for name, entry in results.items():
+        assert entry["methods"]["SfM"]["mesh"]["median"] < 0.1
+        assert entry["methods"]["SfM"]["mesh"]["coverage"] > 0.9
+        assert list((tmp_path / "out" / name).rglob("depth_*.png"))
+    done = run_script(*command, "--positions", "odd", "--output_path", tmp_path, code=2)
+    assert "a NeuS/IDR folder has no --light and no --positions" in done.stderr
 
 
 def test_mvsnets_layout_is_measured_by_its_depth_maps(tmp_path):
     root = miniature.write_mvsnet(tmp_path / "dtu")
-    command = ("evaluate.py", "dtu", "--input_path", root, "--output_path", tmp_path / "out")
+    command = ("evaluate.py", "scenes", "--dtu", root, "--output_path", tmp_path / "out")
     run_script(*command, "--methods", "SfM", "--positions", "1-5")
     (entry,) = json.loads((tmp_path / "out" / "evaluation.json").read_text()).values()
     record = entry["methods"]["SfM"]
@@ -185,12 +186,10 @@ def test_lines_of_a_peer_against_curves_surface_and_depth(sparse, tmp_path):
 def test_bad_input_is_one_line(tmp_path):
     output = ("--output_path", tmp_path / "out")
     for command in (
-        ("dtu", "--input_path", tmp_path),
-        ("strecha", "--image_path", tmp_path),
-        ("scenes", "--dtu", tmp_path),
-        ("scenes", "--strecha", tmp_path, tmp_path),
+        ("--dtu", tmp_path),
+        ("--strecha", tmp_path, tmp_path),
     ):
-        done = run_script("evaluate.py", *command, *output, code=1)
+        done = run_script("evaluate.py", "scenes", *command, *output, code=1)
         assert done.stderr.startswith("error: ")
         assert done.stderr.count("\n") == 1
     command = ("evaluate.py", "scenes", *output)

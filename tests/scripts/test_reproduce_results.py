@@ -66,8 +66,8 @@ def test_tables_of_the_scenes_that_are_there(data, tmp_path):
     for head in ("### fountain-P11", "### The demo scene", "### fountain, against reference depth"):
         assert head in kept
     assert not any("scan24" in head or "chair" in head for head in kept)
-    for command in ("scenes", "strecha", "edges"):
-        assert f"scripts/evaluate.py {command} --" in text
+    for command in ("scenes --unit", "scenes --strecha", "edges --edges_path"):
+        assert f"scripts/evaluate.py {command} " in text
     # Commands are as a reader would type them.
     assert "    scripts/evaluate.py edges --edges_path $OUT/demo/demo/edges/edges.ply" in text
     assert str(data) not in text and str(tmp_path) not in text

@@ -36,22 +36,19 @@ def find_folders(folder: Path) -> tuple[Path, Path]:
     raise ColmapEdgesError(f"{folder} holds no NAME.camera, and no folder in it does")
 
 
-def images_scene(
-    image_path: Path, reference_path: Path | None, *, name: str, camera_path: Path | None = None
-) -> Scene:
-    """Images with Strecha's .camera files.
+def folder_scene(folder: Path, reference_path: Path) -> Scene:
+    """The scene of a folder, named as the folder.
 
     Args:
-        image_path: Folder of the images, and of K.txt if there is one.
+        folder: See `find_folders`; K.txt, if there is one, lies beside the images.
         reference_path: See `scenes.reference_of`.
-        name: Name of the scene.
-        camera_path: Folder of NAME.camera; default: that of the images.
 
     Raises:
         ColmapEdgesError: No image has a camera, or one cannot be read.
     """
+    image_path, camera_path = find_folders(folder)
     return Scene(
-        name=name,
+        name=folder.resolve().name,
         image_path=image_path,
         posed=posed_images(image_path, camera_path),
         load_reference=partial(reference_of, reference_path, ()),
