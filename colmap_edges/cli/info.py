@@ -50,7 +50,7 @@ def describe_model(model: Model) -> list[str]:
 
 
 def describe_output(path: Path, verbose: bool) -> list[str]:
-    """What an output folder holds, or with `verbose` all counts of its stages."""
+    """The results in an output folder, or with `verbose` all counts of its stages."""
     report = read_json(path / OUTPUT.record)
     try:
         lines = report_lines(report) if verbose else result_lines(report, path)

@@ -175,7 +175,7 @@ def read_files(path: Path, folder: Path) -> tuple[Any, ModelPoints | None]:
 
 
 def where_model_is(path: Path) -> str:
-    """What to do about a folder without a readable model: models may be below or above it."""
+    """The remedy for a folder without a readable model: models may be below or above it."""
     below = [path / "sparse", *numbered_models(path), *numbered_models(path / "sparse")]
     found = [str(folder) for folder in (*below, path.parent) if is_model(folder)]
     if found and not is_model(path):

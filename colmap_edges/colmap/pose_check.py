@@ -17,7 +17,7 @@ from colmap_edges.runtime.input_files import read_bytes
 
 @dataclass(frozen=True, kw_only=True)
 class Observed:
-    """What the views of a model observe.
+    """The points of a model and their observations.
 
     Attributes:
         xyz: (N, 3) world points.

@@ -112,7 +112,7 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 def nearest_on_lines(
     origins_a: FloatArray, a: FloatArray, origins_b: FloatArray, b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Where (n,) pairs of lines are nearest to each other: (n, 3) points of the first and second.
+    """Nearest points of (n,) pairs of lines: (n, 3) on the first and on the second.
 
     Args:
         origins_a: (n, 3) points of the first lines.

@@ -33,7 +33,7 @@ NODE_RADIUS_PX = 2.0  # distance at which an end touches another edge (8-neighbo
 
 @dataclass(frozen=True, kw_only=True)
 class Topology:
-    """Where the P polylines of an edge graph meet, and their smoothed shape.
+    """Nodes at which the P polylines of an edge graph meet, and their smoothed shape.
 
     Attributes:
         end_nodes: (P, 2) int32 node of the first and last point; polylines that share a node

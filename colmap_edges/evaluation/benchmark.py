@@ -136,7 +136,7 @@ def keep_image_names(scene: Scene, folder: Path) -> None:
 
 
 class Inputs(NamedTuple):
-    """What all methods have in common."""
+    """The inputs that all methods of a scene share."""
 
     image_path: Path
     sparse_path: Path

@@ -113,7 +113,7 @@ def check_formats(names: Sequence[str], has_edges: bool) -> None:
 
 
 def notes_on(written: WrittenEdges, result: Any, unit: str = "") -> list[str]:
-    """What differs between edges and their file.
+    """Differences between edges and their file, as sentences.
 
     Args:
         written: the edges.

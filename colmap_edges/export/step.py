@@ -34,7 +34,7 @@ SMALLEST = 1e-7  # millimetres: OpenCASCADE takes closer points as one (Precisio
 
 @dataclass(frozen=True, kw_only=True)
 class StepFile:
-    """What a STEP file holds.
+    """The contents of a written STEP file.
 
     Attributes:
         num_curves: number of curves in it.

@@ -113,7 +113,7 @@ def check_images_exist(views: Iterable[View], image_path: Path) -> None:
 
 
 def where_image_is(image_path: Path, name: str) -> str:
-    """What to do about a missing image: it may be nearby, or have nearly the same name."""
+    """The remedy for a missing image: it may be nearby, or have nearly the same name."""
     near = near_name(image_path, name)
     if near:
         return f"{near!a} is there: rename it to the model's {PurePosixPath(name).name!a}"

@@ -1,4 +1,4 @@
-"""What is taken from every image while it is in memory."""
+"""Values computed from each image while it is in memory, such as a reduced picture."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ from colmap_edges.surfaces.sky.regions import small_picture
 
 @dataclass(frozen=True)
 class Found:
-    """What the images of a model show.
+    """Everything that a run reconstructs before it writes and meshes.
 
     Attributes:
         model: the model at the working scale, with refined poses if they were wanted.

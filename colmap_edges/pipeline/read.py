@@ -1,4 +1,4 @@
-"""The reading stage: loads the model, leaves copies out, checks images, masks and edge images."""
+"""The reading stage: loads the model, drops copies of images, checks images, masks, edge images."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def check_model(model: Model, where: str, num_files: int = 0) -> None:
 
 
 def without_copies(model: Model, image_path: Path) -> Model:
-    """The model without views that are copies of others, which are no further witnesses.
+    """The model without views that are copies of others, which add no evidence.
 
     A copy has the camera and, up to rounding, the pose of another view, or the same file at nearly
     the same pose. The view with the most observations is kept.

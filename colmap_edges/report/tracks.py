@@ -58,7 +58,7 @@ def edge_data(
 
 
 def edge_details(edges: Edges3D, curves: Curves3D, origin: FloatArray) -> Packed:
-    """What the page tells of a selected edge: its ends, nodes, deviations and curves.
+    """Figures that the page shows of a selected edge: its ends, nodes, deviations and curves.
 
     Args:
         edges: the 3D edges.

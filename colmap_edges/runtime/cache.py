@@ -68,7 +68,7 @@ class Cache:
         return self.folder / kind / key[:2] / f"{key}.entry"
 
     def load(self, kind: str, key: str, read: Callable[[Arrays], Record]) -> Record | None:
-        """What `read` makes of an entry's arrays; None if it is missing or damaged.
+        """The result that `read` decodes from an entry; None if it is missing or damaged.
 
         The checksum reveals damage, but not who wrote the entry. `read` therefore checks the arrays
         and raises one of `NOT_AN_ENTRY` if they cannot be the result for this key.

@@ -27,7 +27,7 @@ REDUCED = {
 
 
 class Images(NamedTuple):
-    """Where the images of a model and their masks are.
+    """Folders of a model's images and masks.
 
     Attributes:
         image_path: folder of the images.

@@ -30,7 +30,7 @@ MIN_VIEWS = 3  # that see a true curve which can be reconstructed
 
 @dataclass(frozen=True, kw_only=True)
 class TruthOfView:
-    """What a true camera sees, at the same pixels of the given camera.
+    """The true depths and normals of a view, at the pixels of the given camera.
 
     Attributes:
         reference: Depths and normals; its view is the given one.

@@ -45,7 +45,7 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where cameras may stand: around `middle`, or at `spots` that each look at a target."""
+    """Places of cameras: around `middle`, or at `spots` that each look at a target."""
 
     middle: Array  # (3,) point that views look at
     extent: float  # radius around it that they show

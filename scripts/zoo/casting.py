@@ -50,7 +50,7 @@ class Caster:
         return found, distance
 
     def seen(self, start: Array, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What rays (N, 3) from one place show, in the precision of the rays.
+        """The triangles that rays (N, 3) from one place hit, in the precision of the rays.
 
         Returns:
             Indices (M,) of the rays that hit, triangles (M,), and (M, 4) weights of their corners

@@ -121,7 +121,7 @@ def upright(shape: Array, front: float, back: float) -> Manifold:
 
 
 def holes(house: SimpleNamespace) -> Manifold:
-    """What windows and door take from the walls."""
+    """The openings of windows and door, to be cut from the walls."""
     return unite_all(
         upright(outline(house, door), -1, house.recess).translate((x, 0, z))
         for x, z, door in cells(house)

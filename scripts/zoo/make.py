@@ -163,7 +163,7 @@ def place(world: tuple[float, Array, Array], points: Array) -> Array:
 
 
 def drawn(stage: Stage) -> dict[str, Any]:
-    """What was drawn of a stage, for scene.json."""
+    """The randomly drawn values of a stage, for scene.json."""
     light = {key: np.asarray(value).tolist() for key, value in asdict(stage.light).items()}
     light["reach"] = None if np.isinf(stage.light.reach) else stage.light.reach
     materials = {name: asdict(material) for name, material in stage.materials.items()}

@@ -38,7 +38,7 @@ class Lit:
     def shade(
         self, faces: np.ndarray, centre: Array, rays: np.ndarray, where: np.ndarray
     ) -> tuple[np.ndarray, Any]:
-        """What faces (N,) send back along rays (N, 3): (N, C) light; normal and distance (N, 4).
+        """Light (N, C) that faces (N,) reflect along rays (N, 3); normals and distances (N, 4).
 
         Args:
             faces: (N,).
@@ -117,7 +117,7 @@ def borders(label: np.ndarray, geometry: Array) -> np.ndarray:
 
 
 def typical_light(lit: Lit, rig: Rig, at: Array, percentile: float) -> float:
-    """That percentile of the light of the bodies that are seen through (N, 2) of all views."""
+    """A percentile of the light of all bodies, seen through (N, 2) pixels of every view."""
     seen = []
     for view in rig.views:
         light, label, _ = trace(lit, view, at)

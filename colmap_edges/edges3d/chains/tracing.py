@@ -138,7 +138,7 @@ def trace_rounds(
     # Made again at the end in a hundredth of a round's time, they take half of its memory.
     whole.indexes.clear()
     whole.graphs.trim()
-    kept, sorted_stats = filter_curves(model, traced, options.tracing, num_threads)
+    kept, filter_stats = filter_curves(model, traced, options.tracing, num_threads)
     whole = replace(whole, neighbors=near.later_neighbors)
     later = of_later_rounds(options)
     for _ in range(1, options.tracing.num_rounds):
@@ -148,8 +148,8 @@ def trace_rounds(
         found, more = trace_round(rest, near, later, limits, workers, advance)
         traced += in_whole_graphs(rest, found)
         stats = {name: stats[name] + more[name] for name in stats}
-        kept, sorted_stats = filter_curves(model, traced, options.tracing, num_threads, limits)
-    return kept, stats | sorted_stats
+        kept, filter_stats = filter_curves(model, traced, options.tracing, num_threads, limits)
+    return kept, stats | filter_stats
 
 
 def trace_round(

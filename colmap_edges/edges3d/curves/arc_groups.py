@@ -61,7 +61,7 @@ def successive_parts(curves: Curves3D, members: IntArray, free: BoolArray) -> In
 
 
 def spans_on_first(curves: Curves3D, members: IntArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Where (M,) arcs lie on the circle of the first of them.
+    """Positions of (M,) arcs on the circle of the first of them.
 
     Returns:
         (M,) angle at which each begins, from 0 to a full turn; (M,) its angle; (M,) whether it runs

@@ -35,7 +35,7 @@ REACH_SPACINGS = 2.0  # maximum distance along an edge from its points to where 
 
 @dataclass(frozen=True, kw_only=True)
 class Anchors(Table):
-    """Where ends of the pieces of one view meet edges: one place for each end and edge.
+    """Places where ends of the pieces of one view meet edges: one for each end and edge.
 
     Attributes:
         pieces: (n,) int64 piece, ascending.
@@ -192,7 +192,7 @@ def near_points(lines: EdgeLines, pixels: FloatArray, view: View) -> tuple[IntAr
 
 
 def find_anchors(lines: EdgeLines, ends: FloatArray, normals: FloatArray, view: View) -> Anchors:
-    """Where (L, 2, 2) ends of a view's pieces, in planes with (L, 3) normals, meet edges."""
+    """Places where (L, 2, 2) ends of pieces, in planes with (L, 3) normals, meet edges."""
     hit, near = near_points(lines, ends.reshape(-1, 2), view)
     if not len(hit):
         return NO_ANCHORS
