@@ -79,8 +79,8 @@ def cast(center, directions):
     return nearest, gray
 
 
-def render(view):
-    """The image (H, W, 3) of a view."""
+def render(view, cast=cast):
+    """The image (H, W, 3) of a view, in which `cast` gives the gray along directions."""
     x, y = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
     _, gray = cast(view.center, view.rays(np.column_stack([x.ravel(), y.ravel()])))
     gray = gray.reshape(view.height, view.width).astype(np.uint8)

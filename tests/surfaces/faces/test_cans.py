@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pycolmap
 import pytest
-from plain_rooms import model_of, upright_view
+from plain_rooms import model_of, render, upright_view
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
@@ -48,14 +48,6 @@ def cast(center, directions):
     return far, np.where(over, 200, np.where(beside, 165, gray))
 
 
-def render(view):
-    """The image (H, W, 3) of a view."""
-    x, y = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
-    _, gray = cast(view.center, view.rays(np.column_stack([x.ravel(), y.ravel()])))
-    gray = gray.reshape(view.height, view.width).astype(np.uint8)
-    return np.repeat(gray[..., None], 3, axis=2)
-
-
 def polylines():
     """Points of the tiles' borders, and of the can's base and rim."""
     steps = np.arange(-3, 3, 0.04)
@@ -91,7 +83,7 @@ def edges_seen_by(views):
 @pytest.fixture(scope="module")
 def can():
     views = views_around()
-    pictures = [make_grid(view, render(view)) for view in views]
+    pictures = [make_grid(view, render(view, cast)) for view in views]
     return SimpleNamespace(
         views=views, model=model_of(views), edges=edges_seen_by(views), pictures=pictures
     )

@@ -4,15 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import textured_plane
 from textured_plane import NORMAL, OFFSET
 
-from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.surfaces.information import MIN_COSINE
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.patches.depths import NO_DEPTHS, Depths
-from colmap_edges.surfaces.patches.finding import find_patches
 from colmap_edges.surfaces.patches.fitting import (
     are_repeated,
     differences_of,
@@ -24,16 +21,6 @@ mesher = pytest.importorskip("colmap_edges._mesher", reason="the CGAL extension 
 
 SIGMA = 0.02  # of vertices, world units
 UP = NORMAL / np.linalg.norm(NORMAL)
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return textured_plane.make()
-
-
-@pytest.fixture(scope="module")
-def depths(scene):
-    return find_patches(scene[0], Edges3D.none(), scene[1], 0, 2).depths
 
 
 def rough_plane(size=25, half=1.2):

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import textured_plane
 from textured_plane import NORMAL, OFFSET
 
 from colmap_edges.core.edges3d import Edges3D
@@ -27,16 +26,6 @@ SQUARE = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 @pytest.fixture
 def rng():
     return np.random.default_rng(0)
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return textured_plane.make()
-
-
-@pytest.fixture(scope="module")
-def patches(scene):
-    return find_patches(scene[0], Edges3D.none(), scene[1], 0, 2)
 
 
 def test_patches_lie_on_the_plane_within_their_noise(scene, patches):
