@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,8 @@ def left_out_view_errors(
             f"{input_path}: {len(model.views)} images are too few to leave out every {every}th; "
             "raise --held_out_views"
         )
-    options = options or PipelineOptions()
+    # Faces and patches, which change no edge, are not asked for here.
+    options = replace(options or PipelineOptions(), use_faces=False, use_patches=False)
     reconstruction = without_poses(model, unused)
     result = reconstruct(reconstruction, image_path, options)
     counts = {stage["name"]: stage["counts"] for stage in result.stages}
