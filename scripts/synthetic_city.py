@@ -87,11 +87,9 @@ class City:
         return cKDTree((self.curves[:, 0] + self.curves[:, 1] / 2)[:, :2])
 
 
-def make_city(
-    num_views: int, points_per_view: int, size: tuple[int, int], windows: int, seed: int = 0
-) -> City:
+def make_city(num_views: int, points_per_view: int, size: tuple[int, int], windows: int) -> City:
     """Make the city that `num_views` cameras fly over; `windows` a row and column of a wall."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     side = int(np.ceil(np.sqrt(num_views)))
     blocks = np.arange(-MARGIN, int(np.ceil(side * FLIGHT_STEP)) + MARGIN)
     walls, curves, normals = [], [], []
@@ -223,13 +221,13 @@ def without_points(poses: FloatArray, size: tuple[int, int]) -> Any:
     return empty
 
 
-def write_city(city: City, folder: Path, seed: int = 0) -> None:
+def write_city(city: City, folder: Path) -> None:
     """Write the model with its SfM points, binary."""
     empty = without_points(city.poses, city.size)
     camera = empty.cameras[1]
     folder.mkdir(parents=True, exist_ok=True)
     empty.write_binary(str(folder))
-    owners, images, pixels = observations(city, camera, seed)
+    owners, images, pixels = observations(city, camera)
     counts = np.bincount(owners, minlength=len(city.points))
     kept = counts >= 2
     rows = kept[owners]
@@ -249,13 +247,13 @@ def write_city(city: City, folder: Path, seed: int = 0) -> None:
 
 
 def observations(
-    city: City, camera: Any, seed: int
+    city: City, camera: Any
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
     """The (T,) points, (T,) image ids and (T, 2) pixels of all observations of SfM points."""
     tree = cKDTree(city.points[:, :2])
     owners, images, pixels = [], [], []
     for index, pose in enumerate(city.poses):
-        rng = np.random.default_rng([seed, index])
+        rng = np.random.default_rng([0, index])
         near = np.sort(tree.query_ball_point(city.targets[index], REACH))
         near = near[rng.random(len(near)) < TRACK_RATIO].astype(np.int64)
         rotation, translation = pose[:, :3], pose[:, 3]
@@ -269,10 +267,10 @@ def observations(
     return np.concatenate(owners), np.concatenate(images), np.concatenate(pixels)
 
 
-def see_city(city: City, view: View, seed: int = 0) -> Chains:
+def see_city(city: City, view: View) -> Chains:
     """The chains of a view: its front-facing curves, one point per pixel."""
     index = view.image_id - 1
-    rng = np.random.default_rng([seed, index])
+    rng = np.random.default_rng([0, index])
     near = np.sort(city.places.query_ball_point(city.targets[index], REACH)).astype(np.int64)
     middles = city.curves[near, 0] + city.curves[near, 1] / 2
     facing = np.einsum("cfk,ck->cf", city.normals[near], view.center - middles) > 0

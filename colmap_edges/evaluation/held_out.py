@@ -21,10 +21,10 @@ from colmap_edges.evaluation.metrics.raycasting import RayCaster, seen_in
 from colmap_edges.evaluation.metrics.statistics import Record, mean
 
 
-def split_points(model: Model, seed: int = 0) -> tuple[Model, Model]:
+def split_points(model: Model) -> tuple[Model, Model]:
     """Two models, each with a random half of the points."""
     chosen = np.zeros(len(model.points3D_xyz), dtype=bool)
-    chosen[np.random.default_rng(seed).permutation(len(chosen))[: len(chosen) // 2]] = True
+    chosen[np.random.default_rng(0).permutation(len(chosen))[: len(chosen) // 2]] = True
     return model.selected(chosen), model.selected(~chosen)
 
 
@@ -88,7 +88,7 @@ def without_poses(model: Model, views: Sequence[View]) -> Any:
 def left_out_view_errors(
     input_path: Path,
     image_path: Path,
-    every: int = 5,
+    every: int,
     *,
     options: Any = None,
     pictures_path: Path | None = None,

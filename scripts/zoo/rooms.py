@@ -142,7 +142,7 @@ def in_the_middle(random: Random, plan: SimpleNamespace) -> Iterator[Body]:
     if random.random() < 0.6:
         table, seat = solids.table(1.2, 0.75, 0.74), solids.chair()
     else:
-        table, seat = solids.round_table(0.5, 0.72), solids.stool()
+        table, seat = solids.round_table(), solids.stool()
     yield body("table", "wood", table, (x, y, 0), turn)
     for side in (0, 90, 180, 270)[: random.integers(1, 5)]:
         away = (0.62 if side % 180 == 0 else 0.85) + random.uniform(0, 0.12)
@@ -153,7 +153,7 @@ def in_the_middle(random: Random, plan: SimpleNamespace) -> Iterator[Body]:
         bowl = cylinder(0.15, 0.08, 128, 0.16)
         yield body("bowl", "metal", bowl, (x, y, 0.71))
     if random.random() < 0.5:
-        shade = solids.pendant(0.2, 0.2, plan.height - 2.1)
+        shade = solids.pendant(plan.height - 2.1)
         yield body("lamp", "white", shade, (x + 0.5, y, plan.height))
     crate = box((-0.2, 0.2), (-0.15, 0.15), (-0.02, 0.3))
     yield body("crate", "wood", crate, (plan.width - 0.5, 0.45, 0), random.uniform(0, 90))

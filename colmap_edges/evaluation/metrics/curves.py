@@ -154,9 +154,8 @@ def compare_visible_curves(
     surface: Any = None,
     *,
     thresholds_px: Sequence[float] = (1.0, 2.0),
-    min_views: int = 3,
 ) -> Record:
-    """Precision against all true curves, recall against those at least `min_views` views see.
+    """Precision against all true curves, recall against those that at least three views see.
 
     Thresholds are pixels at the scene's depth: each true sample's own distance is the length of a
     pixel there (see `visibility`) times the threshold, and a sample of the result has that of the
@@ -168,7 +167,6 @@ def compare_visible_curves(
         views: The posed images.
         surface: True surface, a mesh with `vertices` and `faces`; None for no occlusion.
         thresholds_px: Distances in pixels.
-        min_views: Minimum number of views that see a curve counted in recall.
 
     Returns:
         See `errors_of`, in world units; `recall_by_views`; and the share `on_surface` of the result
@@ -179,7 +177,7 @@ def compare_visible_curves(
     spacing = float(np.median(coarse)) * min(thresholds_px) / 5
     found, true = sample(result, spacing), sample(reference, spacing)
     count, sizes = visibility(true, views, caster)
-    record, to_result = errors_of(found, true, sizes, count >= min_views, thresholds_px)
+    record, to_result = errors_of(found, true, sizes, count >= 3, thresholds_px)
     return record | {
         "recall_by_views": recall_by_views(to_result / sizes, count, thresholds_px, spacing),
         "on_surface": on_surface(found, views, surface, thresholds_px),

@@ -141,14 +141,12 @@ def read_depth(path: Path) -> tuple[Float32Array, float, str]:
     return depth, scale, name
 
 
-def render_reference(
-    caster: RayCaster, view: View, scale: float = 1.0, max_size_px: int = 1600
-) -> ReferenceDepth:
+def render_reference(caster: RayCaster, view: View, scale: float = 1.0) -> ReferenceDepth:
     """Depths (0 where it is not hit) and normals of the mesh of `caster` in `view`.
 
-    The longer side of the maps is at most `max_size_px`.
+    The longer side of the maps is at most 1600 pixels.
     """
-    scale = min(scale, max_size_px / max(view.width, view.height))
+    scale = min(scale, 1600 / max(view.width, view.height))
     shape = (max(1, round(view.height * scale)), max(1, round(view.width * scale)))
     depth, normals = caster.hits(view.center, view.rays(pixel_centers(shape) / scale))
     return ReferenceDepth(

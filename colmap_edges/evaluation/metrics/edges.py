@@ -20,13 +20,12 @@ from colmap_edges.evaluation.readers.curves import Curves
 def depth_window_errors(
     model: Model,
     references: Sequence[ReferenceDepth],
-    window: int = 5,
     *,
     relative: bool = True,
 ) -> FloatArray:
     """Depth errors of a model's points in each reference view that observes them.
 
-    The error is the smallest |depth - reference| / reference in a `window` x `window` block of the
+    The error is the smallest |depth - reference| / reference in a 5 x 5 block of the
     depth map around the point's projection, since edges sit on depth steps. Points without any
     reference there, or that project off the map, are left out.
 
@@ -39,33 +38,30 @@ def depth_window_errors(
     errors = []
     for reference in references:
         seen = model.track_views == index.get(reference.view.name, -1)
-        errors.append(view_window_errors(points[seen], reference, window, relative=relative))
+        errors.append(view_window_errors(points[seen], reference, relative=relative))
     pooled = np.concatenate(errors) if errors else np.empty(0)
     return pooled[np.isfinite(pooled)]
 
 
 def view_window_errors(
-    points: FloatArray, reference: ReferenceDepth, window: int = 5, *, relative: bool = True
+    points: FloatArray, reference: ReferenceDepth, *, relative: bool = True
 ) -> FloatArray:
     """`depth_window_errors` of `points` (N, 3) in one view: (N,), infinite without a reference."""
     pixels, depth = reference.view.project(points)
     pixels = pixels * reference.scale
     inside = (depth > 0) & np.isfinite(pixels).all(axis=1)
     cells = np.floor(pixels[inside]).astype(np.int64)
-    smallest = _smallest_error(reference.depth, cells, depth[inside], window)
+    smallest = _smallest_error(reference.depth, cells, depth[inside])
     errors = np.full(len(points), np.inf)
     errors[inside] = smallest[:, 0] / smallest[:, 1] if relative else smallest[:, 0]
     return errors
 
 
-def _smallest_error(
-    reference: Float32Array, cells: IntArray, depth: FloatArray, window: int
-) -> FloatArray:
+def _smallest_error(reference: Float32Array, cells: IntArray, depth: FloatArray) -> FloatArray:
     """Smallest |depth - reference| and the reference there, (N, 2); infinite, 1 without any."""
     height, width = reference.shape
     best = np.column_stack([np.full(len(cells), np.inf), np.ones(len(cells))])
-    offsets = range(-(window // 2), window // 2 + 1)
-    for row, column in product(offsets, offsets):
+    for row, column in product(range(-2, 3), repeat=2):
         x, y = cells[:, 0] + column, cells[:, 1] + row
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         value = np.zeros(len(cells))
