@@ -196,8 +196,7 @@ nb::tuple MeshDepthsAt(InArray<double, nb::shape<-1, 3, 3>> rotations, Points3D 
       for (size_t i = 0; i < local.size(); ++i)
         local[i] = view.FromWorld({vertices(i, 0), vertices(i, 1), vertices(i, 2)});
       MeshDepths depths(at);
-      for (size_t f = 0; f < faces.shape(0); ++f)
-        depths.Add(local[faces(f, 0)], local[faces(f, 1)], local[faces(f, 2)]);
+      depths.Add(local, faces.data(), faces.shape(0));
       std::copy(depths.inverse().begin(), depths.inverse().end(), found.begin() + offsets(v));
       std::copy(depths.faces().begin(), depths.faces().end(), hit.begin() + offsets(v));
     });

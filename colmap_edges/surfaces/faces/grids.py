@@ -119,9 +119,13 @@ def usable_at(at: Float32Array, usable: BoolArray | None) -> BoolArray | None:
     height, width = at.shape[:2]
     inside = cv2.inRange(at, (-0.6, -0.6), (width - 0.4, height - 0.4)) > 0
     if usable is not None:
-        near = np.clip(np.nan_to_num(np.rint(at)), 0, (width - 1, height - 1)).astype(np.int64)
-        columns, rows = np.moveaxis(near * usable.shape[::-1] // (width, height), 2, 0)
-        inside &= usable[rows, columns]
+        rows, columns = (
+            np.arange(side) * whole // side
+            for side, whole in zip((height, width), usable.shape, strict=True)
+        )
+        small = usable[np.ix_(rows, columns)].astype(np.uint8)
+        border = cv2.BORDER_REPLICATE
+        inside &= cv2.remap(small, at, None, cv2.INTER_NEAREST, borderMode=border) > 0
     return None if inside.all() else inside
 
 
