@@ -103,13 +103,15 @@ def agreeing_pixels(
     view: View, picture: Picture, inside: BoolArray, colors: Colors, index: int
 ) -> BoolArray:
     """The (h, w) pixels `inside` around which a view's colours agree with the model."""
-    rays = rays_of(view, picture, np.flatnonzero(inside))
+    pixels, size = np.flatnonzero(inside), (WINDOW, WINDOW)
+    rays = rays_of(view, picture, pixels)
     model = np.exp(harmonics(rays) @ colors.coefficients + colors.factors[index])
-    off = np.zeros((*inside.shape, 3))
-    off[inside] = np.nan_to_num(picture[inside] - model, nan=255)
-    size = WINDOW, WINDOW
-    sums, counts = (cv2.blur(of, size) for of in (off, inside.astype(np.float64)))
-    return np.asarray(inside & (np.abs(sums).max(axis=2) <= MAX_MEAN_DEVIATION * counts))
+    off = np.zeros((inside.size, 3))
+    off[pixels] = np.nan_to_num(picture.reshape(-1, 3)[pixels] - model, nan=255)
+    sums = cv2.blur(off.reshape(*inside.shape, 3), size)
+    counts = cv2.blur(inside.astype(np.float64), size)
+    deviations = largest(sums.reshape(-1, 3)).reshape(inside.shape)
+    return np.asarray(inside & (deviations <= MAX_MEAN_DEVIATION * counts))
 
 
 def samples(views: Sequence[View], regions: Regions) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -164,20 +166,17 @@ def fitted(
     level = levels.mean(axis=1) / 255  # a level is less of the logarithm where it is bright
     starts = np.flatnonzero(np.diff(seen_by, prepend=-1))
     numbers = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(seen_by)))
-    values, weights, num_terms = (
-        np.column_stack([design, logs]),
-        np.ones(len(logs)),
-        design.shape[1],
-    )
+    values, weights = np.column_stack([design, logs]), np.ones(len(logs))
+    terms, rest = slice(design.shape[1]), slice(design.shape[1], None)
     for _ in range(NUM_ROUNDS):
-        sums = np.add.reduceat(weights[:, None] * values, starts)
+        weighted = weights[:, None] * values
+        sums = np.add.reduceat(weighted, starts)
         means = sums / np.add.reduceat(weights, starts)[:, None]
-        centered = values - means[numbers]
-        terms, rest = centered[:, :num_terms], centered[:, num_terms:]
-        weighted = terms * weights[:, None]
-        coefficients = np.linalg.lstsq(weighted.T @ terms, weighted.T @ rest, rcond=None)[0]
-        off = largest(levels - np.exp(logs - rest + terms @ coefficients))
+        products = weighted[:, terms].T @ values - sums[:, terms].T @ means
+        coefficients = np.linalg.lstsq(products[:, terms], products[:, rest], rcond=None)[0]
+        constants = means[:, rest] - means[:, terms] @ coefficients
+        off = largest(levels - np.exp(design @ coefficients + constants[numbers]))
         weights = (level / (1 + (off / MAX_DEVIATION) ** 2)) ** 2 + 1e-12
     factors = np.full((num_views, 3), np.nan)
-    factors[seen_by[starts]] = means[:, num_terms:] - means[:, :num_terms] @ coefficients
+    factors[seen_by[starts]] = constants
     return off, Colors(np.asarray(coefficients, np.float64), factors)
