@@ -140,10 +140,10 @@ bool FitPlane(const std::vector<Vec3>& points, Vec3& mean, Vec3& normal) {
   return Norm(normal) > 0.5;
 }
 
-// Weight of a neighbour whose normal differs by the square root of q deviations: exp(-q / 2),
-// nearly, in a tenth of the time.
-double Similarity(double q) {
-  double weight = 1 / (1 + q / 16);
+// Weight of a neighbour whose normal differs by a square q times a variance: exp(-q / 2), nearly,
+// in a tenth of the time.
+double Similarity(double square, double variance) {
+  double weight = 16 * variance / (16 * variance + square);
   for (int i = 0; i < 3; ++i) weight *= weight;
   return weight;
 }
@@ -249,8 +249,9 @@ void Refiner::SmoothNormals(Smoothness smoothness, std::vector<Face>& faces) con
         if (g == kNone) continue;
         const Face& other = faces[g];
         const Vec3 difference = face.normal - other.normal;
-        const double q = Dot(difference, difference) / (own_scale + kNoiseShare * other.variance);
-        sum = sum + Similarity(q) * other.certainty * other.normal;
+        const double scale = own_scale + kNoiseShare * other.variance;
+        const double similarity = Similarity(Dot(difference, difference), scale);
+        sum = sum + similarity * other.certainty * other.normal;
       }
       next[f].normal = Unit(face.certainty * measured[f].normal + smoothness.strength * sum);
     });
