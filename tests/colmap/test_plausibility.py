@@ -21,12 +21,12 @@ def given(small):
     return pycolmap.Reconstruction(str(small[1])), small[0]
 
 
-def mesh(given, folder):
+def mesh(given, folder, **options):
     """The report of a run from a model in memory."""
     (folder / "sparse").mkdir()
     given[0].write_binary(str(folder / "sparse"))
     paths = Paths(image_path=given[1], input_path=folder / "sparse", output_path=folder / "out")
-    return run("mesh", paths, PipelineOptions(num_threads=2, report=False))
+    return run("mesh", paths, PipelineOptions(num_threads=2, report=False, **options))
 
 
 def counts_of(report, name):
@@ -39,7 +39,7 @@ def test_a_few_absurd_points_are_left_out_and_counted(given, tmp_path, x):
     moved = sorted(reconstruction.points3D)[-50:]  # the ids after which those of edges come
     for point3D_id in moved:
         reconstruction.points3D[point3D_id].xyz = np.array([x, 0, 0])
-    report = mesh(given, tmp_path)
+    report = mesh(given, tmp_path, use_faces=False, use_patches=False)
     count = reconstruction.num_points3D()
     assert counts_of(report, "read")["points3D_too_far"] == 50
     assert counts_of(report, "read")["points3D"] == count - 50
