@@ -110,9 +110,9 @@ def find_edges(
     background, hidden = background_or_sky(*found) if finds_open else (None, ())
     faces, patches = NO_FACES, NO_PATCHES
     if grids and outlines:
-        faces = face_stage(model, traced.edges, grids.taken, settings, stages, hidden)
+        round_ = round_stage(model, traced.edges, curves, outlines, settings, stages)
+        faces = face_stage(model, traced.edges, grids.taken, settings, stages, hidden, round_)
         viewer.show_faces(faces.faces)
-        faces = round_stage(model, traced.edges, curves, outlines, faces, settings, stages)
     if textures:
         patches = patch_stage(model, traced, textures.taken, settings, stages)
     return Found(model, traced, curves, background, faces, patches, pictures)

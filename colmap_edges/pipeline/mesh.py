@@ -26,12 +26,13 @@ from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.evidence import gather_evidence
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
-from colmap_edges.surfaces.faces.grids import Grid, with_background
+from colmap_edges.surfaces.faces.grids import Grid, with_background, with_bodies
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
 from colmap_edges.surfaces.outlines2d import Outlines2D
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.revolution.finding import find_bodies
+from colmap_edges.surfaces.round_evidence import FoundRound
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 from colmap_edges.surfaces.sky.finding import find_sky
 from colmap_edges.texture.pictures import Images
@@ -92,6 +93,7 @@ def face_stage(
     options: PipelineOptions,
     stages: Stages,
     masks: Sequence[BackgroundMask],
+    round_: FoundRound,
 ) -> Faces:
     """Find the planar faces between 3D edges, none of them before a background.
 
@@ -102,13 +104,18 @@ def face_stage(
         options: options of all stages.
         stages: the stages of the run.
         masks: (V,) background of the images; empty without one.
+        round_: the round faces, which hide planar ones.
     """
     with stages.stage("faces") as stage:
         bodies = spread_bodies(model.views, masks, edges.points).values() if masks else ()
         seen = [v for v, mask in enumerate(masks) if mask.is_seen and v in grids]
         shown = {v: with_background(model.views[v], grids[v], masks[v].body()) for v in seen}
+        shown = {**grids, **shown}
+        if round_.faces:
+            views, points = model.views, round_.points.points
+            shown = {v: with_bodies(views[v], grid, points) for v, grid in shown.items()}
         seed, threads = options.random_seed, thread_count(options)
-        faces = find_faces(model, edges, {**grids, **shown}, seed, threads, list(bodies))
+        faces = find_faces(model, edges, shown, seed, threads, list(bodies))
         stage.counts = {
             "planes_tried": faces.num_planes,
             "cells": faces.num_cells,
@@ -118,7 +125,7 @@ def face_stage(
             "area": faces.area,
             "face_points": int(np.count_nonzero(np.diff(faces.points.track_offsets))),
         }
-    return faces
+    return replace(faces, round_faces=round_.faces, round_points=round_.points)
 
 
 def round_stage(
@@ -126,18 +133,16 @@ def round_stage(
     edges: Edges3D,
     curves: Curves3D,
     outlines: Outlines2D,
-    faces: Faces,
     options: PipelineOptions,
     stages: Stages,
-) -> Faces:
-    """Add cylinders and other faces of revolution to the faces.
+) -> FoundRound:
+    """Find cylinders and other faces of revolution.
 
     Args:
         model: gives the V views and the SfM points.
         edges: its 3D edges.
         curves: the curves of the edges.
         outlines: what may be their outlines.
-        faces: planar faces.
         options: options of all stages.
         stages: the stages of the run.
     """
@@ -146,16 +151,20 @@ def round_stage(
         lines, samples = outlines
         straight = find_cylinders(lines, model.views, evidence, seed)
         turned = find_bodies(samples, curves, model.views, evidence, straight.faces, seed)
-        points = joined_seen([straight.points, turned.points])
-        found = [*straight.faces, *turned.faces]
+        found = FoundRound(
+            faces=[*straight.faces, *turned.faces],
+            points=joined_seen([straight.points, turned.points]),
+            num_tried=straight.num_tried + turned.num_tried,
+            num_fitted=straight.num_fitted + turned.num_fitted,
+        )
         stage.counts = {
             "lines": len(lines.views),
-            "axes_tried": straight.num_tried + turned.num_tried,
-            "axes_fitted": straight.num_fitted + turned.num_fitted,
-            "round_faces": len(found),
-            "round_points": len(points.points),
+            "axes_tried": found.num_tried,
+            "axes_fitted": found.num_fitted,
+            "round_faces": len(found.faces),
+            "round_points": len(found.points.points),
         }
-    return replace(faces, round_faces=found, round_points=points)
+    return found
 
 
 def mesh_stage(

@@ -153,19 +153,19 @@ OutArray<uint8_t> WholePiecesArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>>
                  {shown.shape(0), shown.shape(1)});
 }
 
-using Grays = std::vector<InArray<uint8_t, nb::ndim<2>>>;
+using Gray2D = InArray<uint8_t, nb::ndim<2>>;
+using Depths2D = InArray<float, nb::ndim<2>>;
 
-// A view that shows a picture, with the cells that show nothing but background.
-FaceView ToFaceView(const InArray<uint8_t, nb::ndim<2>>& gray,
-                    const InArray<uint8_t, nb::ndim<2>>& empty) {
+// A view that shows a picture, with the depths of what its cells show that is no plane.
+FaceView ToFaceView(const Gray2D& gray, const Depths2D& shown) {
   Require(gray.shape(0) % FaceView::kCellPx == 0 && gray.shape(1) % FaceView::kCellPx == 0 &&
               gray.size() > 0,
           "pictures must be of whole cells");
   FaceView view;
   view.columns = int32_t(gray.shape(1)) / FaceView::kCellPx;
   view.rows = int32_t(gray.shape(0)) / FaceView::kCellPx;
-  view.gray = gray.data(), view.empty = empty.data();
-  Require(int32_t(empty.shape(0)) == view.rows && int32_t(empty.shape(1)) == view.columns,
+  view.gray = gray.data(), view.shown = shown.data();
+  Require(int32_t(shown.shape(0)) == view.rows && int32_t(shown.shape(1)) == view.columns,
           "cells and pictures differ in size");
   return view;
 }
@@ -173,19 +173,20 @@ FaceView ToFaceView(const InArray<uint8_t, nb::ndim<2>>& gray,
 class BoundFaceScene {
  public:
   BoundFaceScene(InArray<double, nb::shape<-1, 3, 3>> rotations, Points3D translations,
-                 Doubles focals, Points2D principals, Grays grays, Grays empty, Points3D normals,
-                 Doubles offsets, Points3D points, Longs plane_offsets, Ints planes_of_points,
-                 Longs observed_offsets, Ints observed, Longs neighbor_offsets, Ints neighbors,
-                 Points3D bounds, Points3D directions, Points2D extents, int num_threads)
-      : grays_(std::move(grays)), empty_(std::move(empty)) {
+                 Doubles focals, Points2D principals, std::vector<Gray2D> grays,
+                 std::vector<Depths2D> shown, Points3D normals, Doubles offsets, Points3D points,
+                 Longs plane_offsets, Ints planes_of_points, Longs observed_offsets, Ints observed,
+                 Longs neighbor_offsets, Ints neighbors, Points3D bounds, Points3D directions,
+                 Points2D extents, int num_threads)
+      : grays_(std::move(grays)), shown_(std::move(shown)) {
     const size_t num_views = rotations.shape(0);
     Require(translations.shape(0) == num_views && focals.size() == num_views &&
                 principals.shape(0) == num_views && grays_.size() == num_views &&
-                empty_.size() == num_views,
+                shown_.size() == num_views,
             "what is known of the views differs in number");
     Require(offsets.size() == normals.shape(0), "normals and offsets differ in number");
     for (size_t v = 0; v < num_views; ++v) {
-      FaceView view = ToFaceView(grays_[v], empty_[v]);
+      FaceView view = ToFaceView(grays_[v], shown_[v]);
       view.pose = MakePinholeView(rotations.data() + 9 * v, translations.data() + 3 * v, focals(v));
       view.principal = {principals(v, 0), principals(v, 1)};
       scene_.views.push_back(view);
@@ -313,7 +314,8 @@ class BoundFaceScene {
 
   static constexpr size_t kViewsAtOnce = 64;  // whose support is held twice
 
-  Grays grays_, empty_;  // kept alive
+  std::vector<Gray2D> grays_;  // kept alive, as are the depths
+  std::vector<Depths2D> shown_;
   FaceScene scene_;
 };
 
@@ -336,10 +338,10 @@ void BindFaces(nb::module_& m) {
         "min_share"_a,
         "(h, w) uint8 cells that are enclosed, and all of pieces most of whose cells are.");
   nb::class_<BoundFaceScene>(m, "FaceScene")
-      .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D, Grays, Grays,
-                    Points3D, Doubles, Points3D, Longs, Ints, Longs, Ints, Longs, Ints, Points3D,
-                    Points3D, Points2D, int>(),
-           "rotations"_a, "translations"_a, "focals"_a, "principals"_a, "grays"_a, "empty"_a,
+      .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D,
+                    std::vector<Gray2D>, std::vector<Depths2D>, Points3D, Doubles, Points3D, Longs,
+                    Ints, Longs, Ints, Longs, Ints, Points3D, Points3D, Points2D, int>(),
+           "rotations"_a, "translations"_a, "focals"_a, "principals"_a, "grays"_a, "shown"_a,
            "normals"_a, "offsets"_a, "points"_a, "plane_offsets"_a, "planes_of_points"_a,
            "observed_offsets"_a, "observed"_a, "neighbor_offsets"_a, "neighbors"_a, "bounds"_a,
            "directions"_a, "extents"_a, "num_threads"_a)

@@ -132,8 +132,6 @@ inline void TouchWherePlanesMeet(const FaceView& view, const int32_t* labels,
   }
 }
 
-constexpr double kNearer = 1.02;  // ratio of depths from which one plane stands before another
-
 // Planes may go on behind what is held: a wall behind furniture. Returns whether any is new.
 inline bool TouchBehind(const FaceView& view, const int32_t* labels,
                         const std::vector<uint8_t>& held, const std::vector<Vec3>& inverse_depths,
@@ -168,11 +166,15 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
          ++j)
       cell[points.planes[j]] = true;
   }
-  // Nothing goes on where nothing but background is shown.
-  for (int32_t cell = 0; cell < view.num_cells(); ++cell)
-    if (view.empty[cell]) std::fill_n(&touched[cell * count], count, true);
   std::vector<Vec3> inverse_depths;
   for (const Plane& plane : scene.planes) inverse_depths.push_back(view.InverseDepthOf(plane));
+  // Planes end before background, and may go on behind round bodies.
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    if (std::isnan(view.shown[cell])) continue;
+    const Vec2 at = view.CellCenter(cell);
+    for (size_t k = 0; k < count; ++k)
+      touched[cell * count + k] |= view.Hides(cell, 1 / Dot(inverse_depths[k], {at.x, at.y, 1}));
+  }
   TouchWherePlanesMeet(view, labels, inverse_depths, &touched);
   std::vector<uint8_t> inside(view.num_cells(), false);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {

@@ -84,7 +84,7 @@ class FaceScene {
       if (!(nearest[cell] <= depth)) nearest[cell] = float(depth);
     }
     for (int32_t cell = 0; cell < view.num_cells(); ++cell)
-      if (view.empty[cell]) nearest[cell] = std::numeric_limits<float>::infinity();
+      if (view.IsBackground(cell)) nearest[cell] = std::numeric_limits<float>::infinity();
   }
   void Allocate() {
     sights_.assign(views.size(), {});
@@ -456,12 +456,12 @@ inline ViewCosts FaceScene::Costs(int32_t v) const {
   const size_t size = size_t(view.num_cells()) * num_labels;
   made.depths.assign(size, NAN), made.costs.assign(size, 0), made.hopeless.assign(size, true);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
-    if (view.empty[cell]) continue;
+    if (view.IsBackground(cell)) continue;
     const Vec3 ray = view.RayOfCell(cell);
     for (int32_t k = 0; k < num_planes; ++k) {
       const double depth = planes[made.planes[k]].DepthAlong(view.pose.center, ray);
       const Vec3 point = view.pose.center + depth * ray;
-      if (!(Norm(point - center) <= reach)) continue;
+      if (!(Norm(point - center) <= reach) || view.Hides(cell, depth)) continue;
       made.depths[size_t(cell) * num_labels + k] = float(depth);
       if (extents[made.planes[k]].Holds(point))
         made.costs[size_t(cell) * num_labels + k] -= float(weights.inside);

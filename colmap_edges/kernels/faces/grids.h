@@ -10,6 +10,8 @@
 
 namespace colmap_edges {
 
+constexpr double kNearer = 1.02;  // ratio of depths from which one surface stands before another
+
 struct Plane {
   Vec3 normal;    // length 1
   double offset;  // normal . x = offset
@@ -31,8 +33,10 @@ struct FaceView {
   PinholeView pose;  // focal length in pixels of the small picture
   Vec2 principal;    // pixel, the corner of the picture is (0, 0)
   int32_t columns = 0, rows = 0;
-  const uint8_t* gray = nullptr;   // (4 rows, 4 columns), 0 outside the image
-  const uint8_t* empty = nullptr;  // (rows, columns) whether cells show nothing but background
+  const uint8_t* gray = nullptr;  // (4 rows, 4 columns), 0 outside the image
+  // (rows, columns) depth of what cells show that is no plane: of a round body, infinity of the
+  // background; NaN where none is known.
+  const float* shown = nullptr;
 
   int32_t num_cells() const { return columns * rows; }
   int32_t width() const { return columns * kCellPx; }
@@ -45,6 +49,11 @@ struct FaceView {
   }
   Vec2 CellCenter(int32_t cell) const {
     return {(cell % columns + 0.5) * kCellPx, (cell / columns + 0.5) * kCellPx};
+  }
+  bool IsBackground(int32_t cell) const { return std::isinf(shown[cell]); }
+  // Whether a round body is shown before a depth, or nothing but background.
+  bool Hides(int32_t cell, double depth) const {
+    return IsBackground(cell) || kNearer * shown[cell] < depth;
   }
   Vec3 RayOfCell(int32_t cell) const { return RayThrough(CellCenter(cell)); }
   // Where a cell is sampled: its centre, at the picture's border its outer side, so that samples

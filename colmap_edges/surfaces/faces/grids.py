@@ -36,6 +36,8 @@ class Grid:
         principal: (2,) its principal point, the corner of the picture is (0, 0).
         usable: (h, w) false where it is masked; None without a mask.
         background: (h, w) whether it shows the backdrop or the sky; None if it shows none.
+        bodies: (rows, columns) float32 depths of the round bodies that cells show, NaN where there
+            is none; None if there are none.
     """
 
     gray: ByteArray
@@ -43,15 +45,22 @@ class Grid:
     principal: FloatArray
     usable: BoolArray | None = None
     background: BoolArray | None = None
+    bodies: Float32Array | None = None
 
     @property
-    def empty(self) -> BoolArray:
-        """(rows, columns) whether cells show nothing but background."""
-        if self.background is None:
-            return np.zeros(self.shape, bool)
+    def shown(self) -> Float32Array:
+        """(rows, columns) float32 depths of what cells show that is no plane; NaN where unknown.
+
+        They are infinite where cells show nothing but background.
+        """
         rows, columns = self.shape
-        cells = self.background.reshape(rows, CELL_PX, columns, CELL_PX)
-        return np.asarray(cells.all(axis=(1, 3)))
+        depths = np.full((rows, columns), np.nan, np.float32)
+        if self.bodies is not None:
+            depths[:] = self.bodies
+        if self.background is not None:
+            cells = self.background.reshape(rows, CELL_PX, columns, CELL_PX)
+            depths[cells.all(axis=(1, 3))] = np.inf
+        return depths
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -107,6 +116,24 @@ def with_background(view: View, grid: Grid, body: BoolArray) -> Grid:
     """
     shown = usable_at(places_of(view, grid), ~body)
     return replace(grid, background=np.ones(grid.gray.shape, bool) if shown is None else shown)
+
+
+def with_bodies(view: View, grid: Grid, points: FloatArray) -> Grid:
+    """The picture with the depths of round bodies.
+
+    Args:
+        view: the view.
+        grid: its picture.
+        points: (N, 3) points all over the bodies, about a cell from each other.
+    """
+    depths = np.full(grid.shape, np.inf, np.float32)
+    inside = np.flatnonzero(view.holds(*view.project(points)))
+    rows, columns = cells_in(view, grid, points[inside])
+    np.minimum.at(depths, (rows, columns), view.cam_from_world(points[inside])[:, 2])
+    around = np.ones((3, 3), np.uint8)
+    held = cv2.morphologyEx(np.isfinite(depths).astype(np.uint8), cv2.MORPH_CLOSE, around) > 0
+    nearest = cv2.erode(depths, around)  # some cells show points of the far side alone
+    return replace(grid, bodies=np.where(held, nearest, np.float32(np.nan)))
 
 
 def usable_at(at: Float32Array, usable: BoolArray | None) -> BoolArray | None:

@@ -79,7 +79,7 @@ def make_scene(
         np.array([grid.focal_px for grid in grids]),
         np.array([grid.principal for grid in grids]),
         [grid.gray for grid in grids],
-        [grid.empty.astype(np.uint8) for grid in grids],
+        [grid.shown for grid in grids],
         np.ascontiguousarray(planes.normals),
         planes.offsets,
         evidence.points,

@@ -9,7 +9,7 @@ import pytest
 from evidence import evidence_of
 
 from colmap_edges.core.view import View
-from colmap_edges.surfaces.faces.grids import blank_grid, with_background
+from colmap_edges.surfaces.faces.grids import blank_grid, with_background, with_bodies
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import label_cells, make_scene, split_by_view
 
@@ -102,10 +102,41 @@ def test_views_that_show_background_behind_a_plane_contradict_it(ground):
     assert not any(labels.any() for labels in labelled[1:])
 
 
-def test_a_cell_that_shows_some_of_a_body_is_not_empty(ground):
+def test_a_cell_that_shows_some_of_a_body_is_no_background(ground):
     body = np.zeros((80, 80), bool)
     body[40, 40] = True
-    empty = with_background(ground.views[0], ground.pictures[0], body).empty
-    assert empty.shape == (80, 80)
-    assert np.argwhere(~empty).tolist() == [[40, 40]]
-    assert not ground.pictures[0].empty.any()
+    shown = with_background(ground.views[0], ground.pictures[0], body).shown
+    assert shown.shape == (80, 80)
+    assert np.argwhere(np.isnan(shown)).tolist() == [[40, 40]]
+    assert np.isinf(shown).sum() == 80 * 80 - 1
+    assert np.isnan(ground.pictures[0].shown).all()
+
+
+def ball(height, spacing=0.03):
+    """Points all over a ball of radius 0.5 above the middle of the first view."""
+    count = int(np.pi / spacing**2)
+    heights = np.linspace(-1, 1, count)
+    turns = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    around = np.sqrt(1 - heights**2)
+    unit = np.column_stack([around * np.cos(turns), around * np.sin(turns), heights])
+    return CENTERS[0] * (1, 1, 0) + 0.5 * unit + (0, 0, height)
+
+
+@pytest.mark.parametrize(("height", "is_hidden"), [(1.0, True), (-2.0, False)])
+def test_no_plane_lies_behind_a_round_body(ground, height, is_hidden):
+    first = with_bodies(ground.views[0], ground.pictures[0], ball(height))
+    labelled = labels_of(ground.views, [first, *ground.pictures[1:]])
+    assert labelled[0][36:44, 36:44].all() != is_hidden
+    assert labelled[0][36:44, 36:44].any() != is_hidden
+    assert labelled[0][4:20].mean() > 0.9
+
+
+def test_a_body_is_as_deep_as_its_front(ground):
+    """Gaps of a cell between its points are filled."""
+    first = with_bodies(ground.views[0], ground.pictures[0], ball(1.0))
+    rows, columns = np.indices((80, 80)) + 0.5 - 40
+    off = np.hypot(rows, columns) / 80  # of rays, at depth 1; the ball's centre is 2 deep
+    on = off < np.tan(np.arcsin(0.5 / 2)) - 0.03
+    depths = (2 - np.sqrt(4 - (4 - 0.25) * (1 + off[on] ** 2))) / (1 + off[on] ** 2)
+    assert np.abs(first.shown[on] - depths).max() < 0.08
+    assert np.isnan(first.shown[off > np.tan(np.arcsin(0.5 / 2)) + 0.03]).all()

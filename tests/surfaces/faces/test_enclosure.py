@@ -1,5 +1,6 @@
 """Labels are believed between the points of their plane, and not beyond the last of them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -176,7 +177,14 @@ def test_a_floor_ends_where_only_background_is_shown(shows_background):
     assert floor_is_enclosed(None, shows_background=shows_background) == shows_background
 
 
-def floor_is_enclosed(depth_of_wall, backdrop=False, more_points=(), shows_background=False):
+@pytest.mark.parametrize(("depth", "enclosed"), [(2.0, True), (9.0, False)])
+def test_a_floor_goes_on_behind_a_round_body(depth, enclosed):
+    assert floor_is_enclosed(None, depth_of_body=depth) == enclosed
+
+
+def floor_is_enclosed(
+    depth_of_wall, backdrop=False, more_points=(), shows_background=False, depth_of_body=None
+):
     """Whether a place on the floor is; above it is a wall, or no plane."""
     view = View(
         image_id=1,
@@ -196,6 +204,9 @@ def floor_is_enclosed(depth_of_wall, backdrop=False, more_points=(), shows_backg
     if shows_background:
         body = np.repeat(~above, CELL_PX)[:, None] & np.ones(grid.gray.shape[1], bool)
         grid = with_background(view, grid, body)
+    if depth_of_body is not None:
+        bodies = np.where(above[:, None], np.float32(depth_of_body), np.full(grid.shape, np.nan))
+        grid = replace(grid, bodies=bodies.astype(np.float32))
     count = 200
     line = np.column_stack([np.linspace(-2, 2, count), np.ones(count), np.full(count, 2.0)])
     line = np.concatenate([line, np.reshape(more_points, (-1, 3))])
