@@ -71,6 +71,8 @@ def main(
     try:
         base = running.version_at(baseline, store) if baseline else None
         versions = [running.present_version(), *([base] if base else [])]
+        for version in versions:  # an installed one is tried if this tree is not in PYTHONPATH
+            click.echo(f"{version.name} is in {version.root}", err=True)
         records, *others = (try_all(store, version, scenes, jobs) for version in versions)
     except TrialError as error:
         raise click.ClickException(str(error)) from error
