@@ -152,6 +152,41 @@ inline bool TouchBehind(const FaceView& view, const int32_t* labels,
   return any;
 }
 
+constexpr int32_t kFarCells = 3;    // minimum distance of cells from all observed points, each way
+constexpr float kTexture = 9;       // minimum of `TextureAround`, in levels squared
+constexpr float kAlike = 0.2f;      // maximum of `ComparedPlane::Difference` on a plane
+constexpr float kUnlike = 0.4f;     // minimum on parallel ones, as otherwise all depths look alike
+constexpr double kParallel = 1.05;  // ratio of the distances of these from the view
+
+// Where no points are observed, a plane is known as well as at one if other views show the same
+// texture on it, and on none before or behind it: a lawn before the cameras.
+inline void TouchWhereTextureAgrees(const FaceScene& scene, int32_t v, const int32_t* labels,
+                                    std::vector<uint8_t>* touched) {
+  const FaceView& view = scene.views[v];
+  std::vector<uint8_t> is_near(view.num_cells(), false);
+  for (const ObservedPoint& sight : scene.sights(v)) {
+    const int32_t x = sight.cell % view.columns, y = sight.cell / view.columns;
+    const int32_t right = std::min(x + kFarCells, view.columns);
+    const int32_t bottom = std::min(y + kFarCells, view.rows);
+    for (int32_t j = std::max(y - kFarCells + 1, 0); j < bottom; ++j)
+      for (int32_t i = std::max(x - kFarCells + 1, 0); i < right; ++i)
+        is_near[j * view.columns + i] = true;
+  }
+  std::vector<std::vector<ComparedPlane>> compared(scene.planes.size());
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    const int32_t k = labels[cell];
+    const Vec2 middle = view.CellCenter(cell);
+    if (k < 0 || is_near[cell] || TextureAround(view, middle) < kTexture) continue;
+    if (compared[k].empty())
+      for (const double ratio : {1.0, kParallel, 1 / kParallel})
+        compared[k].emplace_back(scene, v, scene.planes[k], ratio);
+    const Patch patch(view, middle);
+    const auto differs = [&](int i) { return compared[k][i].Difference(view, middle, patch); };
+    const bool agrees = differs(0) <= kAlike && !(differs(1) < kUnlike) && !(differs(2) < kUnlike);
+    (*touched)[cell * scene.planes.size() + k] |= agrees;
+  }
+}
+
 // The cells of a view that are enclosed, or of a whole piece. `plain`: whether each cell may show
 // the backdrop, on which only cells between points of their plane are held.
 inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const int32_t* labels,
@@ -176,6 +211,7 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
       touched[cell * count + k] |= view.Hides(cell, 1 / Dot(inverse_depths[k], {at.x, at.y, 1}));
   }
   TouchWherePlanesMeet(view, labels, inverse_depths, &touched);
+  TouchWhereTextureAgrees(scene, v, labels, &touched);
   std::vector<uint8_t> inside(view.num_cells(), false);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const int32_t label = labels[cell];

@@ -365,16 +365,48 @@ inline void FaceScene::AddSights(int32_t v, ViewCosts* made) const {
   }
 }
 
+// A plane with the neighbours of a view that see the same side of it.
+struct ComparedPlane {
+  Plane plane;
+  std::vector<std::pair<const FaceView*, Mat3>> others;
+
+  // The parallel to a plane at `ratio` times its distance from view `v`.
+  ComparedPlane(const FaceScene& scene, int32_t v, const Plane& of, double ratio) : plane(of) {
+    const FaceView& view = scene.views[v];
+    plane.offset += (1 - ratio) * of.Distance(view.pose.center);
+    for (const int32_t u : scene.neighbors[v])
+      if (SameSide(plane, view, scene.views[u]))
+        others.emplace_back(&scene.views[u], PlaneHomography(view, plane, scene.views[u]));
+  }
+
+  // How much the gray around a pixel of the view differs from that in others, see
+  // `Patch::Difference`; NaN if none sees the place.
+  float Difference(const FaceView& view, Vec2 pixel, const Patch& patch) const {
+    const Vec3 ray = view.RayThrough(pixel);
+    const Vec3 place = view.pose.center + plane.DepthAlong(view.pose.center, ray) * ray;
+    std::array<float, kMaxCompared> differences;
+    int tried = 0;
+    for (const auto& [other, homography] : others) {
+      Vec2 seen;
+      double depth;
+      if (!other->Project(place, &seen, &depth)) continue;
+      const float difference = patch.Difference(homography, *other, kGrayNoise);
+      if (std::isnan(difference)) continue;
+      differences[tried] = difference;
+      if (++tried == kMaxCompared) break;
+    }
+    if (tried == 0) return NAN;
+    // The worst of three does not count: something may hide the plane there.
+    std::sort(differences.begin(), differences.begin() + tried);
+    return (differences[0] + differences[std::min(tried - 1, 1)]) / 2;
+  }
+};
+
 inline void FaceScene::AddCorrelation(int32_t v, ViewCosts* made) const {
   const FaceView& view = views[v];
   const int32_t num_planes = int32_t(made->planes.size());
-  std::vector<std::vector<std::pair<const FaceView*, Mat3>>> compared(num_planes);
-  for (int32_t k = 0; k < num_planes; ++k) {
-    const Plane& plane = planes[made->planes[k]];
-    for (const int32_t u : neighbors[v])
-      if (SameSide(plane, view, views[u]))
-        compared[k].emplace_back(&views[u], PlaneHomography(view, plane, views[u]));
-  }
+  std::vector<ComparedPlane> compared;
+  for (const int32_t plane : made->planes) compared.emplace_back(*this, v, planes[plane], 1.0);
   for (int32_t y = 0; y < view.rows; y += kPatchCells) {
     for (int32_t x = 0; x < view.columns; x += kPatchCells) {
       const int32_t right = std::min(x + kPatchCells, view.columns);
@@ -382,7 +414,6 @@ inline void FaceScene::AddCorrelation(int32_t v, ViewCosts* made) const {
       const Vec2 middle{FaceView::kCellPx * (x + right) / 2.0,
                         FaceView::kCellPx * (y + bottom) / 2.0};
       const Patch patch(view, middle);
-      const Vec3 ray = view.RayThrough(middle);
       for (int32_t k = 0; k < num_planes; ++k) {
         const auto at = [&](int32_t i, int32_t j) {
           return (size_t(j) * view.columns + i) * (num_planes + 1) + k;
@@ -391,24 +422,9 @@ inline void FaceScene::AddCorrelation(int32_t v, ViewCosts* made) const {
         for (int32_t j = y; j < bottom; ++j)
           for (int32_t i = x; i < right; ++i) hopeless &= made->hopeless[at(i, j)];
         if (hopeless) continue;
-        const double depth = planes[made->planes[k]].DepthAlong(view.pose.center, ray);
-        const Vec3 point = view.pose.center + depth * ray;
-        std::array<float, kMaxCompared> differences;
-        int tried = 0;
-        for (const auto& [other, homography] : compared[k]) {
-          Vec2 pixel;
-          double at_depth;
-          if (!other->Project(point, &pixel, &at_depth)) continue;
-          const float difference = patch.Difference(homography, *other, kGrayNoise);
-          if (std::isnan(difference)) continue;
-          differences[tried] = difference;
-          if (++tried == kMaxCompared) break;
-        }
-        if (tried == 0) continue;
-        // The worst of three does not count: something may hide the plane there.
-        std::sort(differences.begin(), differences.begin() + tried);
-        const float mean = (differences[0] + differences[std::min(tried - 1, 1)]) / 2;
-        const float cost = float(weights.correlation) * mean;
+        const float difference = compared[k].Difference(view, middle, patch);
+        if (std::isnan(difference)) continue;
+        const float cost = float(weights.correlation) * difference;
         for (int32_t j = y; j < bottom; ++j)
           for (int32_t i = x; i < right; ++i)
             if (!made->hopeless[at(i, j)]) made->costs[at(i, j)] += cost;

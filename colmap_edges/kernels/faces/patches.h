@@ -88,4 +88,23 @@ struct Patch {
   }
 };
 
+// Mean square of the slope of gray around a pixel in the direction in which it is least, in levels
+// per step of the patch: that of an edge is small along the edge.
+inline double TextureAround(const FaceView& view, Vec2 middle) {
+  const auto gray = [&](int64_t x, int64_t y) { return double(view.gray[y * view.width() + x]); };
+  double xx = 0, yy = 0, xy = 0;
+  int64_t count = 0;
+  for (int dy = -kPatchRadius; dy < kPatchRadius; dy += kPatchStep) {
+    for (int dx = -kPatchRadius; dx < kPatchRadius; dx += kPatchStep) {
+      const int64_t x = int64_t(middle.x) + dx, y = int64_t(middle.y) + dy;
+      const int64_t right = x + kPatchStep, below = y + kPatchStep;
+      if (x < 0 || y < 0 || right >= view.width() || below >= view.height()) continue;
+      const double across = gray(right, y) - gray(x, y), down = gray(x, below) - gray(x, y);
+      xx += across * across, yy += down * down, xy += across * down, ++count;
+    }
+  }
+  const double half = (xx + yy) / 2;
+  return (half - std::sqrt(std::max(half * half - xx * yy + xy * xy, 0.0))) / count;
+}
+
 }  // namespace colmap_edges

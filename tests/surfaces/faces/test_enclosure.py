@@ -182,19 +182,73 @@ def test_a_floor_goes_on_behind_a_round_body(depth, enclosed):
     assert floor_is_enclosed(None, depth_of_body=depth) == enclosed
 
 
+def view_above_floor(index, center):
+    """A view that looks along z; the floor is at y = 1."""
+    camera = pycolmap.Camera(model="PINHOLE", width=320, height=240, params=[200, 200, 160, 120])
+    return View(
+        image_id=index + 1,
+        name=f"{index}.png",
+        width=320,
+        height=240,
+        camera=camera,
+        rotation=np.eye(3),
+        translation=-center,
+    )
+
+
+def sample_at(points, views):
+    """One place (1, 3) on the first plane that (V,) views show."""
+    one = np.ones(1, np.int32)
+    return Samples(
+        points=points,
+        sizes=np.ones(1),
+        cells=0 * one,
+        planes=0 * one,
+        holding=one,
+        agreeing=one,
+        through=0 * one,
+        hidden=0 * one,
+        offsets=np.array([0, len(views)]),
+        views=views,
+    )
+
+
+def lawn_is_enclosed(differs):
+    """Whether a place on a textured floor is that a second view shows, too; its points are away."""
+    textures = np.random.default_rng(4).normal(120, 30, (2, 512, 512))
+    textures = [ndimage.gaussian_filter(texture, 2) for texture in textures]
+    views, grids, labels = [], [], []
+    for i in range(2):
+        view = view_above_floor(i, np.array([1.0 * i, 0, 0]))
+        rows, columns = np.mgrid[:240, :320] + 0.5
+        depth = 200 / np.maximum(rows - 120, 1e-9)
+        across = (columns - 160) / 200 * depth + view.center[0]
+        at = np.floor(np.array([depth, across]) * 64).astype(int) % 512
+        gray = 120 + 8 * (textures[i if differs else 0][at[0], at[1]] - 120)
+        grids.append(picture_of(np.where(rows < 130, columns / 2, np.clip(gray, 0, 255))))
+        views.append(view)
+        labels.append(np.where(np.arange(60)[:, None] < 33, -1, np.zeros((60, 80), np.int32)))
+    line = np.column_stack([np.linspace(-2, 2, 200), np.ones(200), np.full(200, 6.0)])
+    evidence = evidence_of(
+        line, 2 * np.arange(201), np.tile(np.arange(2, dtype=np.int32), 200), 0.01
+    )
+    planes = Planes(normals=np.eye(3)[1:2], offsets=np.ones(1))
+    scene = make_scene(SimpleNamespace(views=views), grids, evidence, planes, 1)
+    samples = sample_at(np.array([[0.5, 1, 2.2]]), np.arange(2, dtype=np.int32))
+    labels = np.concatenate([of.ravel() for of in labels]).astype(np.int32)
+    return bool(are_enclosed(scene, samples, labels, grids)[0])
+
+
+def test_a_lawn_goes_on_where_another_view_shows_its_texture():
+    assert lawn_is_enclosed(differs=False)
+    assert not lawn_is_enclosed(differs=True)
+
+
 def floor_is_enclosed(
     depth_of_wall, backdrop=False, more_points=(), shows_background=False, depth_of_body=None
 ):
     """Whether a place on the floor is; above it is a wall, or no plane."""
-    view = View(
-        image_id=1,
-        name="0.png",
-        width=320,
-        height=240,
-        camera=pycolmap.Camera(model="PINHOLE", width=320, height=240, params=[200, 200, 160, 120]),
-        rotation=np.eye(3),
-        translation=np.zeros(3),
-    )
+    view = view_above_floor(0, np.zeros(3))
     rows, columns = np.mgrid[:240, :320]
     grid = blank_grid(view) if backdrop else picture_of(columns / 2 + rows / 3)
     labels = np.zeros(np.array(grid.gray.shape) // CELL_PX, np.int32)
@@ -213,18 +267,6 @@ def floor_is_enclosed(
     seen_by = np.zeros(len(line), np.int32)
     evidence = evidence_of(line, np.arange(len(line) + 1), seen_by, 0.01)
     planes = Planes(normals=np.eye(3)[1:], offsets=np.array([1.0, depth_of_wall or 4]))
-    one = np.ones(1, np.int32)
-    samples = Samples(
-        points=np.array([[0.1, 1, 2.7]]),
-        sizes=np.ones(1),
-        cells=0 * one,
-        planes=0 * one,
-        holding=one,
-        agreeing=one,
-        through=0 * one,
-        hidden=0 * one,
-        offsets=np.array([0, 1]),
-        views=0 * one,
-    )
+    samples = sample_at(np.array([[0.1, 1, 2.7]]), np.zeros(1, np.int32))
     scene = make_scene(SimpleNamespace(views=(view,)), [grid], evidence, planes, 1)
     return bool(are_enclosed(scene, samples, labels.ravel(), [grid])[0])
