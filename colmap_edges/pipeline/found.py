@@ -110,8 +110,8 @@ def find_edges(
     background, hidden = background_or_sky(*found) if finds_open else (None, ())
     faces, patches = NO_FACES, NO_PATCHES
     if grids and outlines:
-        round_ = round_stage(model, traced.edges, curves, outlines, settings, stages)
-        faces = face_stage(model, traced.edges, grids.taken, settings, stages, hidden, round_)
+        round_faces = round_stage(model, traced.edges, curves, outlines, settings, stages)
+        faces = face_stage(model, traced.edges, grids.taken, settings, stages, hidden, round_faces)
         viewer.show_faces(faces.faces)
     if textures:
         patches = patch_stage(model, traced, textures.taken, settings, stages)

@@ -93,9 +93,9 @@ def face_stage(
     options: PipelineOptions,
     stages: Stages,
     masks: Sequence[BackgroundMask],
-    round_: FoundRound,
+    round_faces: FoundRound,
 ) -> Faces:
-    """Find the planar faces between 3D edges, none of them before a background.
+    """Find the planar faces between 3D edges, none before a background or through a round face.
 
     Args:
         model: gives the V views and the SfM points.
@@ -104,15 +104,15 @@ def face_stage(
         options: options of all stages.
         stages: the stages of the run.
         masks: (V,) background of the images; empty without one.
-        round_: the round faces, which hide planar ones.
+        round_faces: what the planar ones may lie behind.
     """
     with stages.stage("faces") as stage:
         bodies = spread_bodies(model.views, masks, edges.points).values() if masks else ()
         seen = [v for v, mask in enumerate(masks) if mask.is_seen and v in grids]
         shown = {v: with_background(model.views[v], grids[v], masks[v].body()) for v in seen}
         shown = {**grids, **shown}
-        if round_.faces:
-            views, points = model.views, round_.points.points
+        if round_faces.faces:
+            views, points = model.views, round_faces.points.points
             shown = {v: with_bodies(views[v], grid, points) for v, grid in shown.items()}
         seed, threads = options.random_seed, thread_count(options)
         faces = find_faces(model, edges, shown, seed, threads, list(bodies))
@@ -125,7 +125,7 @@ def face_stage(
             "area": faces.area,
             "face_points": int(np.count_nonzero(np.diff(faces.points.track_offsets))),
         }
-    return replace(faces, round_faces=round_.faces, round_points=round_.points)
+    return replace(faces, round_faces=round_faces.faces, round_points=round_faces.points)
 
 
 def round_stage(
