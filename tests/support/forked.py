@@ -62,9 +62,13 @@ for line in sys.stdin:
 
 @cache
 def server():
-    """The process that is forked; it ends with this one."""
+    """The process that is forked; it ends with this one.
+
+    It starts where PYTHONPATH may be relative to, whatever folder the first test is in.
+    """
+    folder = Path(__file__).resolve().parents[2]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    process = subprocess.Popen([sys.executable, "-c", SERVER], text=True, **pipes)
+    process = subprocess.Popen([sys.executable, "-c", SERVER], text=True, cwd=folder, **pipes)
     atexit.register(process.communicate)
     return process
 
