@@ -100,15 +100,17 @@ def chair() -> Manifold:
 
 def stool() -> Manifold:
     """A round seat on a turned foot."""
-    profile = [(0, -SINK), (0.16, -SINK), (0.16, 0.03), (0.03, 0.05), (0.03, 0.46 - 0.05)]
-    profile += [(0.17, 0.46 - 0.04), (0.17, 0.46), (0, 0.46)]
+    radius, height = 0.17, 0.46
+    profile = [(0, -SINK), (0.16, -SINK), (0.16, 0.03), (0.03, 0.05), (0.03, height - 0.05)]
+    profile += [(radius, height - 0.04), (radius, height), (0, height)]
     return lathe(profile)
 
 
 def round_table() -> Manifold:
     """A round top on one thick foot."""
-    profile = [(0, -SINK), (0.28, -SINK), (0.28, 0.03), (0.06, 0.07), (0.06, 0.72 - 0.08)]
-    profile += [(0.2, 0.72 - 0.03), (0.5, 0.72 - 0.03), (0.5, 0.72), (0, 0.72)]
+    radius, height = 0.5, 0.72
+    profile = [(0, -SINK), (0.28, -SINK), (0.28, 0.03), (0.06, 0.07), (0.06, height - 0.08)]
+    profile += [(0.2, height - 0.03), (radius, height - 0.03), (radius, height), (0, height)]
     return lathe(profile)
 
 
@@ -184,6 +186,7 @@ def canvas(width: float, height: float) -> Manifold:
 
 def pendant(length: float) -> Manifold:
     """A shade (a truncated cone) that hangs on a rod from z = 0."""
-    shade = cylinder(0.2, 0.2, top=0.4 * 0.2)
+    radius = height = 0.2
+    shade = cylinder(height, radius, top=0.4 * radius)
     rod = box((-0.012, 0.012), (-0.012, 0.012), (-length, 0.02))
-    return unite_all([shade.translate((0, 0, -length - 0.2 + 0.01)), rod])
+    return unite_all([shade.translate((0, 0, -length - height + 0.01)), rod])

@@ -28,7 +28,7 @@ def test_edges_are_found(name, tmp_path):
     """Images rendered through each lens give the edges of the scene, where they are."""
     scene = scenes.make_scene(num_views=6, width=240, height=180, camera_model=name)
     images, _ = scene.write(tmp_path)
-    found = reconstruct(scene.reconstruction, images, scenes.EDGES_ALONE)
+    found = reconstruct(scene.reconstruction, images, PipelineOptions(num_threads=2))
     distances = scene.distances(found.edges.points)
     assert found.edges.num_edges > 10
     assert np.median(distances) < 0.01

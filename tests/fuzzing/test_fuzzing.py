@@ -9,7 +9,6 @@ from isolation import Job
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
 RUNS = 16
-WHOLE_RUNS = 6  # of the pipeline, whose model and pictures are damaged in kinds of their own, too
 SOAK_RUNS = 600
 
 
@@ -24,13 +23,8 @@ def valid_inputs(tmp_path_factory):
 
 def test_damaged_input_ends_in_a_result_or_one_clear_line(valid_inputs, soak, show):
     """To read a failed input again: isolation.damaged_copy(Job(kind, source, seed), folder)."""
-    runs = dict.fromkeys(valid_inputs, SOAK_RUNS if soak else RUNS)
-    runs["run"] = SOAK_RUNS if soak else WHOLE_RUNS
-    jobs = [
-        Job(kind, source, seed)
-        for kind, source in valid_inputs.items()
-        for seed in range(runs[kind])
-    ]
+    seeds = range(SOAK_RUNS if soak else RUNS)
+    jobs = [Job(kind, source, seed) for kind, source in valid_inputs.items() for seed in seeds]
     outcomes, failures = isolation.try_inputs(jobs)
     for kind in valid_inputs:
         counts = {outcome: outcomes[kind, outcome] for outcome in ("result", "error", "failure")}

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import cv2
 import pytest
-from forked import call_forked
 from project import ROOT
 
 import colmap_edges
@@ -54,22 +53,18 @@ def test_there_are_examples():
 
 
 @pytest.mark.parametrize(("page", "language", "text"), EXAMPLES)
-def test_examples_run(workspace, monkeypatch, page, language, text):
+def test_examples_run(workspace, page, language, text):
     folder, environment = workspace
-    monkeypatch.chdir(folder)
     if re.search(r"^colmap ", text, re.MULTILINE) and not shutil.which("colmap"):
         pytest.skip("colmap is not installed")
     if "to_pandas" in text:
         pytest.importorskip("pandas", reason="pandas is an extra that not every environment has")
     if page == "README.md":
         shutil.rmtree(folder / "edges", ignore_errors=True)
-    example = folder / "example"
-    example.write_text(text)
-    if language == "python":
-        done = call_forked((), program=example)
-    else:
-        command = ["bash", "-e", example]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    program = ["bash", "-e"] if language == "bash" else [sys.executable, "-"]
+    done = subprocess.run(
+        program, input=text, cwd=folder, env=environment, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     if "mesh --workspace_path" in text:
         assert (folder / "edges" / "report.html").is_file()

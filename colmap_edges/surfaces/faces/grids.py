@@ -127,9 +127,9 @@ def with_bodies(view: View, grid: Grid, points: FloatArray) -> Grid:
         points: (N, 3) points all over the bodies, about a cell from each other.
     """
     depths = np.full(grid.shape, np.inf, np.float32)
-    inside = np.flatnonzero(view.holds(*view.project(points)))
-    rows, columns = cells_in(view, grid, points[inside])
-    np.minimum.at(depths, (rows, columns), view.cam_from_world(points[inside])[:, 2])
+    pixels, depths_of_points = view.project(points)
+    inside = view.holds(pixels, depths_of_points)
+    np.minimum.at(depths, cells_in(view, grid, points[inside]), depths_of_points[inside])
     around = np.ones((3, 3), np.uint8)
     held = cv2.morphologyEx(np.isfinite(depths).astype(np.uint8), cv2.MORPH_CLOSE, around) > 0
     nearest = cv2.erode(depths, around)  # some cells show points of the far side alone

@@ -112,9 +112,9 @@ def test_a_cell_that_shows_some_of_a_body_is_no_background(ground):
     assert np.isnan(ground.pictures[0].shown).all()
 
 
-def ball(height, spacing=0.03):
-    """Points all over a ball of radius 0.5 above the middle of the first view."""
-    count = int(np.pi / spacing**2)
+def ball(height):
+    """3,490 points all over a ball of radius 0.5 in the middle of the first view's image."""
+    count = 3490
     heights = np.linspace(-1, 1, count)
     turns = np.arange(count) * np.pi * (3 - np.sqrt(5))
     around = np.sqrt(1 - heights**2)
