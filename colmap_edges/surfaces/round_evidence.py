@@ -34,6 +34,11 @@ END_PX = 1.0  # distance of points from the ends, where outlines bend into rims
 NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
 DEVIATIONS = 4.0  # minimum distance of a point from the surface, in its standard deviations
 DEPTH_SHARE = 0.02  # ... and in its depth
+# Maximum share of rays through a body, of those that touch it or end on it or behind its surface:
+# outlines give false points behind it.
+MAX_THROUGH = 0.2
+MAX_PASSED = 0.25  # maximum share of a body's points next to which rays pass through it
+MIN_STEEP = 0.3  # minimum cosine between such a ray and the normal
 
 # Of hypotheses of cylinders and of other bodies of revolution.
 MIN_WIDTH_PX = 12.0  # minimum distance of the two outlines of a pair
@@ -68,11 +73,15 @@ class Sight(NamedTuple):
         places: (n,) where they meet it, along the axis, in the unit of the body's description.
         through: (n,) whether the point lies behind the surface there.
         before: (n,) whether it lies before it.
+        entries: (m, 3) where the rays of points behind it meet it.
+        directions: (m, 3) unit directions of these rays.
     """
 
     places: FloatArray
     through: BoolArray
     before: BoolArray
+    entries: FloatArray
+    directions: FloatArray
 
 
 class Rays(NamedTuple):
@@ -105,7 +114,10 @@ class Rays(NamedTuple):
     def met(self, rows: IntArray, reach: FloatArray, places: FloatArray) -> Sight:
         """What (n,) rays say that enter a body after (n,) lengths at (n,) places of its axis."""
         behind, limits = self.lengths[rows] - reach, self.limits[rows]
-        return Sight(places, behind > limits, behind < -limits)
+        through = behind > limits
+        directions = self.directions[rows[through]]
+        entries = self.starts[rows[through]] + reach[through, None] * directions
+        return Sight(places, through, behind < -limits, entries, directions)
 
 
 def on_both_sides(shown: BoolArray) -> BoolArray:
@@ -180,21 +192,51 @@ def frontal_views(
     return Frontal(order, np.take_along_axis(visible, order, axis=1), toward)
 
 
-def seen_away_from_edges(
-    points: FloatArray, frontal: Frontal, views: IntArray, evidence: Evidence, step: float
-) -> SeenPoints:
-    """Points that views see and that have no edge point within a distance.
+def seen_on_body(
+    points: FloatArray,
+    normals: FloatArray,
+    frontal: Frontal,
+    views: IntArray,
+    evidence: Evidence,
+    sight: Sight,
+    step: float,
+) -> SeenPoints | None:
+    """Points that views see, away from edges and from where rays pass through the body.
 
     Args:
-        points: (P, 3) points.
+        points: (P, 3) points on a body.
+        normals: (P, 3) their unit normals.
         frontal: their views, as indices into `views`.
         views: (V,) numbers of the views.
         evidence: the edge points.
-        step: the distance, world units.
+        sight: the rays that meet the body.
+        step: within which a point is next to an edge or a ray, world units.
+
+    Returns:
+        The points; None if rays pass next to many: it is no body, but the tips of a gear's teeth.
     """
     edges = evidence.points[evidence.edge_ids >= 0]
     near = cKDTree(edges).query(points, distance_upper_bound=step)[0] if len(edges) else np.inf
     some = frontal.kept.any(axis=1) & np.isinf(near)
+    passed = some & are_passed(points, normals, sight, step)
+    if passed.sum() > MAX_PASSED * some.sum():
+        return None
+    some &= ~passed
     kept = frontal.kept[some]
     chosen = views[frontal.order[some][kept]].astype(np.int32)
     return SeenPoints(points[some], offsets_of(kept.sum(axis=1)), chosen)
+
+
+def are_passed(points: FloatArray, normals: FloatArray, sight: Sight, step: float) -> BoolArray:
+    """(P,) whether a ray passes through the body next to points on it, but for grazing ones.
+
+    False points of outlines are behind those, so that their rays graze the body.
+    """
+    passed = np.zeros(len(points), bool)
+    if len(points) and len(sight.entries):
+        nearest = cKDTree(points).query(sight.entries)[1]
+        cosines = -np.einsum("ij,ij->i", sight.directions, normals[nearest])
+        steep = sight.entries[cosines > MIN_STEEP]
+        if len(steep):
+            passed = np.isfinite(cKDTree(steep).query(points, distance_upper_bound=step)[0])
+    return passed

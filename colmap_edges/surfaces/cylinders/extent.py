@@ -27,7 +27,7 @@ from colmap_edges.surfaces.round_evidence import (
     frontal_views,
     longest_run,
     on_both_sides,
-    seen_away_from_edges,
+    seen_on_body,
 )
 
 BINS_PER_RADIUS = 12  # bins along the axis
@@ -63,11 +63,12 @@ def extent_of(lines: Lines, one: Cylinders, support: Support, num_views: int) ->
 
 
 def points_on(
-    one: Cylinders, extent: Extent, views: Sequence[View], evidence: Evidence
-) -> SeenPoints:
+    one: Cylinders, extent: Extent, views: Sequence[View], evidence: Evidence, sight: Sight
+) -> SeenPoints | None:
     """Points on a cylinder, away from its edges, with the views that see them.
 
-    A view sees it where it shows both outlines: a body before it would hide one of them.
+    A view sees it where it shows both outlines: a body before it would hide one of them. None if
+    rays pass through much of it.
     """
     axis, radius = one.axes[0], one.radii[0]
     showing = np.flatnonzero(on_both_sides(extent.shown))
@@ -91,7 +92,7 @@ def points_on(
     bins = np.searchsorted(extent.starts, np.repeat(places, len(circle)), side="right") - 1
     bins = np.clip(bins, 0, len(extent.starts) - 2)
     frontal = frontal_views(points, normals, seen[:, bins].T, centers)
-    return seen_away_from_edges(points, frontal, showing, evidence, step)
+    return seen_on_body(points, normals, frontal, showing, evidence, sight, step)
 
 
 def sight_of_extent(one: Cylinders, extent: Extent, rays: Rays, views: Sequence[View]) -> Sight:

@@ -27,6 +27,7 @@ from colmap_edges.surfaces.cylinders.support import (
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.round_evidence import (
+    MAX_THROUGH,
     MIN_BOTH,
     SAME_SHARE,
     TRIED_SHARE,
@@ -40,7 +41,6 @@ from colmap_edges.surfaces.round_face import RoundFace
 # Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
 MAX_FIXED = 0.6
 MAX_FIXED_LINES = 4  # maximum number of lines that may explain all outlines: those of a post
-MAX_THROUGH = 0.1  # maximum share of rays through a cylinder, of those not ending before it
 MAX_TRIED = 600  # maximum number of hypotheses
 NUM_NEAR = 40  # number of views whose outlines rank hypotheses, the nearest ones
 MAX_REFUSED = 8  # number of fitted hypotheses refused one after the other that ends the search
@@ -87,10 +87,13 @@ def find_cylinders(
         sight = sight_of_extent(one, extent, rays, views)
         ends = one.points[0] + extent.starts[[0, -1], None] * one.axes[0]
         few = sight.through.sum() <= MAX_THROUGH * np.sum(~sight.before)
-        if few and is_believed(extent.shown, ends, views):
+        if not few or not is_believed(extent.shown, ends, views):
+            continue
+        on = points_on(one, extent, views, evidence, sight)
+        if on is not None:
             used[support.rows], last = True, num_fits
             found.append(cylinder_of(one, extent))
-            points.append(points_on(one, extent, views, evidence))
+            points.append(on)
     return FoundRound(
         faces=found,
         points=joined_seen([NO_POINTS, *points]),

@@ -14,20 +14,18 @@ from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.revolution.profiles import BIN_PX, MAX_OFF, Profile, stretch_of
-from colmap_edges.surfaces.revolution.sight import Shell, entries_of, rays_that_meet, shell_of
+from colmap_edges.surfaces.revolution.sight import entries_of, rays_that_meet, shell_of
 from colmap_edges.surfaces.round_evidence import (
     END_PX,
+    MAX_THROUGH,
     MIN_STEPS,
     SPACING_PX,
     Rays,
     closed_along,
     frontal_views,
-    seen_away_from_edges,
+    seen_on_body,
 )
 
-# Maximum share of rays through a body, of those that touch it or end on it or behind its surface:
-# outlines give false points behind it.
-MAX_THROUGH = 0.2
 MAX_DEVIATION_PX = 0.5  # maximum median distance of outlines from a profile
 CAP_REACH = 0.45  # maximum height of a cap, in radii at its rim
 RIM_PX = 4.0  # maximum distance of an edge that is the rim of an opening
@@ -156,10 +154,25 @@ def seen_bins(profile: Profile, views: Sequence[View]) -> BoolArray:
 
 
 def points_on(
-    profile: Profile, shell: Shell, seen: BoolArray, views: Sequence[View], evidence: Evidence
-) -> SeenPoints:
-    """Points on a body, away from its edges, with the views that see them."""
-    axis = profile.axis
+    profile: Profile,
+    seen: BoolArray,
+    views: Sequence[View],
+    evidence: Evidence,
+    rays: Rays,
+) -> SeenPoints | None:
+    """Points on a body, away from its edges, with the views that see them.
+
+    Args:
+        profile: the profile.
+        seen: (V, B) whether a view sees a bin.
+        views: all views.
+        evidence: the edge points.
+        rays: rays to observed points.
+
+    Returns:
+        The points; None if rays pass through much of the body.
+    """
+    axis, shell = profile.axis, shell_of(profile)
     showing = np.flatnonzero(seen.any(axis=1))
     step = min(SPACING_PX, 2 * np.pi * np.median(profile.radii) / MIN_STEPS)
     places, radii, slopes, bins = along_profile(profile, step)
@@ -179,7 +192,8 @@ def points_on(
     toward = frontal.toward[rows, frontal.order[rows, ranks]]
     hidden = np.isfinite(entries_of(shell, points[rows], toward, skipped=2.0)[0])
     frontal.kept[rows[hidden], ranks[hidden]] = False
-    return seen_away_from_edges(points, frontal, showing, evidence, step * axis.pixel)
+    sight = rays_that_meet(shell, rays)
+    return seen_on_body(points, normals, frontal, showing, evidence, sight, step * axis.pixel)
 
 
 def along_profile(

@@ -28,7 +28,6 @@ from colmap_edges.surfaces.revolution.meridians import Axis, meridian_of, sample
 from colmap_edges.surfaces.revolution.primitives import faces_of
 from colmap_edges.surfaces.revolution.profiles import profiles_of
 from colmap_edges.surfaces.revolution.samples import Samples
-from colmap_edges.surfaces.revolution.sight import shell_of
 from colmap_edges.surfaces.round_evidence import (
     SAME_SHARE,
     TRIED_SHARE,
@@ -88,11 +87,12 @@ def find_bodies(
             ends = axis.point + profile.places[[0, -1], None] * axis.pixel * axis.direction
             if not is_believed(profile.shown, ends, views):
                 continue
-            used[profile.rows] = True
             capped = with_caps(profile, rays, evidence)
-            shell = shell_of(capped)
-            seen = seen_bins(capped, views)
-            points.append(points_on(capped, shell, seen, views, evidence))
+            on = points_on(capped, seen_bins(capped, views), views, evidence, rays)
+            if on is None:
+                continue
+            used[profile.rows] = True
+            points.append(on)
             faces += faces_of(capped, np.flatnonzero(on_both_sides(profile.shown)))
     return FoundRound(
         faces=faces, points=joined_seen(points), num_tried=len(axes), num_fitted=len(fits)
