@@ -17,7 +17,8 @@ from colmap_edges.surfaces.faces.finding import NO_FACES
 from colmap_edges.surfaces.mesher import mesh_with_curves
 from colmap_edges.surfaces.sky.colours import Colors
 from colmap_edges.surfaces.sky.finding import find_sky
-from colmap_edges.surfaces.sky.regions import below_structure, smooth_regions
+from colmap_edges.surfaces.sky.infinity import Matches, spread
+from colmap_edges.surfaces.sky.regions import Regions, below_structure, smooth_regions
 
 CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=160, height=120, params=[120, 80, 60])
 # Two towers on a meadow, which ends before the horizon: from, to in x; height.
@@ -166,6 +167,39 @@ def test_what_lies_below_the_horizon_is_no_sky():
         views.append(upright_view(i, CAMERA, spot, -spot))
     pictures = [render(view, (BLUE, BLUE)) for view in views]
     assert sky_of(scene(views), pictures) is None
+
+
+def regions_below_the_sky():
+    """Of each of three views the sky, regions 0 to 2, and a region below it, 3 to 5.
+
+    Structure separates the last one of these from its sky.
+    """
+    labels, near = np.full((3, 40, 40), -1, np.int32), np.zeros((3, 40, 40), bool)
+    for view in range(3):
+        labels[view, :10] = view
+        labels[view, 12:30, 5:35] = 3 + view
+    near[2, 10:12] = True
+    return Regions(
+        pictures=[np.zeros((40, 40, 3), np.uint8)] * 3,
+        labels=list(labels),
+        near=list(near),
+        views=np.array([0, 1, 2, 0, 1, 2]),
+        below=np.zeros(6, bool),
+    )
+
+
+@pytest.mark.parametrize("in_the_sky, is_roof", [(2, False), (15, True)])
+def test_a_roof_agrees_with_itself_alone(in_the_sky, is_roof):
+    # Samples of regions 3 and 4 agree with each other and with 5, and some lie in the sky.
+    pairs = [(3, 4, 60, True), (3, 5, 30, True), (3, 1, in_the_sky, False)]
+    pairs += [(4, 3, 60, True), (4, 5, 30, True), (4, 0, in_the_sky, False)]
+    sources, targets, counts, agree = (np.array(column) for column in zip(*pairs, strict=True))
+    sampled = np.full(6, 100)
+    matches = Matches(
+        sampled, np.repeat(sources, counts), np.repeat(targets, counts), np.repeat(agree, counts)
+    )
+    found = spread(matches, regions_below_the_sky(), np.arange(6) < 3)
+    assert found.tolist() == [True] * 3 + [not is_roof] * 2 + [False]
 
 
 def test_points_in_a_region_contradict_the_sky():

@@ -61,7 +61,7 @@ def spread(matches: Matches, regions: Regions, is_sky: BoolArray) -> BoolArray:
 
     Haze and far hills have no points either. Views that look in one direction see the same colour
     there, or something nearer. What is near contradicts that sooner or later, since it moves before
-    the sky.
+    the sky; at the latest what is found does: a roof that agrees with itself alone in other views.
 
     Args:
         matches: their matches in neighbouring views.
@@ -90,7 +90,8 @@ def spread(matches: Matches, regions: Regions, is_sky: BoolArray) -> BoolArray:
         reached = at_border & (counts_of(matches, found)[1] >= MIN_MATCHES * matches.sampled)
         reached[beside[found[beside[:, 1]], 0]] = True
         found = found | (far & reached)
-    return found
+    against, agreeing = counts_of(matches, found)
+    return is_sky | (found & (against <= LIMITS[-1] * (against + agreeing)))
 
 
 def counts_of(matches: Matches, of_targets: BoolArray) -> tuple[IntArray, IntArray]:
