@@ -17,7 +17,7 @@ from colmap_edges.surfaces.faces.finding import NO_FACES
 from colmap_edges.surfaces.mesher import mesh_with_curves
 from colmap_edges.surfaces.sky.colours import Colors
 from colmap_edges.surfaces.sky.finding import find_sky
-from colmap_edges.surfaces.sky.infinity import Matches, spread
+from colmap_edges.surfaces.sky.infinity import Matches, are_contradicted, spread
 from colmap_edges.surfaces.sky.regions import Regions, below_structure, smooth_regions
 
 CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=160, height=120, params=[120, 80, 60])
@@ -200,6 +200,14 @@ def test_a_roof_agrees_with_itself_alone(in_the_sky, is_roof):
     )
     found = spread(matches, regions_below_the_sky(), np.arange(6) < 3)
     assert found.tolist() == [True] * 3 + [not is_roof] * 2 + [False]
+
+
+def test_a_blue_gable_is_elsewhere_in_other_views():
+    # Samples of sky 0 lie in sky 1 and in roof 3, those of gable 2 in the roof, of sky 1 nowhere.
+    sources, targets = np.repeat([[0, 0, 2], [1, 3, 3]], (10, 90, 100), axis=1)
+    matches = Matches(np.full(4, 100), sources, targets, np.zeros(200, bool))
+    is_sky = np.array([True, True, True, False])
+    assert are_contradicted(matches, is_sky).tolist() == [False, False, True, False]
 
 
 def test_points_in_a_region_contradict_the_sky():

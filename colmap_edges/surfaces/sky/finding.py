@@ -23,7 +23,13 @@ from colmap_edges.surfaces.faces.labelling import NUM_NEIGHBORS, observed_points
 from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.sky.backdrop import find_backdrop
 from colmap_edges.surfaces.sky.colours import looks_like_sky
-from colmap_edges.surfaces.sky.infinity import confirmed, match_regions, moves_as_sky, spread
+from colmap_edges.surfaces.sky.infinity import (
+    are_contradicted,
+    confirmed,
+    match_regions,
+    moves_as_sky,
+    spread,
+)
 from colmap_edges.surfaces.sky.regions import find_regions
 
 # Minimum share of the images that show blue sky: 0.5 to 1 of facades, below 0.1 of rooms.
@@ -62,6 +68,7 @@ def find_sky(
     )
     compared = parts_of(neighbors, neighbor_offsets)
     matches = match_regions(model.views, regions, points, observed, compared)
+    blue &= ~are_contradicted(matches, blue | white)
     is_sky = blue | (white & confirmed(matches, blue | white))
     if not moves_as_sky(matches, is_sky):
         return None

@@ -22,6 +22,7 @@ LIMITS = (0.7, 0.5, 0.3, 0.15)  # maximum shares of contradictions, in turn
 # Minimum share of sky among the regions that other views show in the directions of the sky: 0.4 to
 # 1 of true skies, where walls and roofs hide it, 0 to 0.2 of bluish walls.
 MIN_SKY_SHARE = 0.3
+MIN_SEEN = 0.05  # minimum share of sky in the directions of one region: 0 of a blue gable
 ADJACENT_PX = 8  # maximum width of the border between adjacent regions
 
 
@@ -45,6 +46,13 @@ def confirmed(matches: Matches, is_sky: BoolArray) -> BoolArray:
     """(R,) whether other views see (R,) sky, too, in the directions of regions."""
     seen = np.bincount(matches.sources[is_sky[matches.targets]], minlength=len(is_sky))
     return np.asarray(seen >= MIN_MATCHES * matches.sampled)
+
+
+def are_contradicted(matches: Matches, is_sky: BoolArray) -> BoolArray:
+    """(R,) whether nearly all that other views see in the directions of regions is no sky."""
+    seen = np.bincount(matches.sources[is_sky[matches.targets]], minlength=len(is_sky))
+    looked_up = np.bincount(matches.sources, minlength=len(is_sky))
+    return np.asarray(seen < MIN_SEEN * looked_up)
 
 
 def moves_as_sky(matches: Matches, is_sky: BoolArray) -> bool:
