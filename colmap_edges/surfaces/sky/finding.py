@@ -68,10 +68,10 @@ def find_sky(
     )
     compared = parts_of(neighbors, neighbor_offsets)
     matches = match_regions(model.views, regions, points, observed, compared)
-    blue &= ~are_contradicted(matches, blue | white)
     is_sky = blue | (white & confirmed(matches, blue | white))
     if not moves_as_sky(matches, is_sky):
         return None
+    is_sky &= ~are_contradicted(matches, is_sky)
     shown = regions.shown(spread(matches, regions, is_sky))
     return open_through(model, background_masks(shown))
 
