@@ -216,8 +216,7 @@ def seen_on_body(
         The points; None if rays pass next to many: it is no body, but the tips of a gear's teeth.
     """
     edges = evidence.points[evidence.edge_ids >= 0]
-    near = cKDTree(edges).query(points, distance_upper_bound=step)[0] if len(edges) else np.inf
-    some = frontal.kept.any(axis=1) & np.isinf(near)
+    some = frontal.kept.any(axis=1) & ~are_near(points, edges, step)
     passed = some & are_passed(points, normals, sight, step)
     if passed.sum() > MAX_PASSED * some.sum():
         return None
@@ -232,11 +231,13 @@ def are_passed(points: FloatArray, normals: FloatArray, sight: Sight, step: floa
 
     False points of outlines are behind those, so that their rays graze the body.
     """
-    passed = np.zeros(len(points), bool)
-    if len(points) and len(sight.entries):
-        nearest = cKDTree(points).query(sight.entries)[1]
-        cosines = -np.einsum("ij,ij->i", sight.directions, normals[nearest])
-        steep = sight.entries[cosines > MIN_STEEP]
-        if len(steep):
-            passed = np.isfinite(cKDTree(steep).query(points, distance_upper_bound=step)[0])
-    return passed
+    nearest = cKDTree(points).query(sight.entries)[1]
+    cosines = -np.einsum("ij,ij->i", sight.directions, normals[nearest])
+    return are_near(points, sight.entries[cosines > MIN_STEEP], step)
+
+
+def are_near(points: FloatArray, others: FloatArray, reach: float) -> BoolArray:
+    """(P,) whether one of (M, 3) other points lies within a distance of (P, 3) points."""
+    if not len(others):
+        return np.zeros(len(points), bool)
+    return np.asarray(np.isfinite(cKDTree(others).query(points, distance_upper_bound=reach)[0]))

@@ -44,15 +44,13 @@ class Matches(NamedTuple):
 
 def confirmed(matches: Matches, is_sky: BoolArray) -> BoolArray:
     """(R,) whether other views see (R,) sky, too, in the directions of regions."""
-    seen = np.bincount(matches.sources[is_sky[matches.targets]], minlength=len(is_sky))
-    return np.asarray(seen >= MIN_MATCHES * matches.sampled)
+    return np.asarray(sum(counts_of(matches, is_sky)) >= MIN_MATCHES * matches.sampled)
 
 
 def are_contradicted(matches: Matches, is_sky: BoolArray) -> BoolArray:
     """(R,) whether nearly all that other views see in the directions of regions is no sky."""
-    seen = np.bincount(matches.sources[is_sky[matches.targets]], minlength=len(is_sky))
     looked_up = np.bincount(matches.sources, minlength=len(is_sky))
-    return np.asarray(seen < MIN_SEEN * looked_up)
+    return np.asarray(sum(counts_of(matches, is_sky)) < MIN_SEEN * looked_up)
 
 
 def moves_as_sky(matches: Matches, is_sky: BoolArray) -> bool:
@@ -85,8 +83,7 @@ def spread(matches: Matches, regions: Regions, is_sky: BoolArray) -> BoolArray:
     )
     far = np.ones(len(is_sky), bool)
     for limit in LIMITS:
-        against, agreeing = counts_of(matches, far)
-        far = is_sky | (far & (against <= limit * (against + agreeing)))
+        far = is_sky | (far & are_consistent(matches, far, limit))
     far = is_sky | (far & (counts_of(matches, far)[1] >= MIN_MATCHES * matches.sampled))
     beside = np.concatenate(
         [adjacent_pairs(*each) for each in zip(regions.labels, regions.near, strict=True)]
@@ -98,8 +95,13 @@ def spread(matches: Matches, regions: Regions, is_sky: BoolArray) -> BoolArray:
         reached = at_border & (counts_of(matches, found)[1] >= MIN_MATCHES * matches.sampled)
         reached[beside[found[beside[:, 1]], 0]] = True
         found = found | (far & reached)
-    against, agreeing = counts_of(matches, found)
-    return is_sky | (found & (against <= LIMITS[-1] * (against + agreeing)))
+    return is_sky | (found & are_consistent(matches, found, LIMITS[-1]))
+
+
+def are_consistent(matches: Matches, of_targets: BoolArray, limit: float) -> BoolArray:
+    """(R,) whether at most a share `limit` of the matches with some of the regions disagrees."""
+    disagreeing, agreeing = counts_of(matches, of_targets)
+    return np.asarray(disagreeing <= limit * (disagreeing + agreeing))
 
 
 def counts_of(matches: Matches, of_targets: BoolArray) -> tuple[IntArray, IntArray]:
