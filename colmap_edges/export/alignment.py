@@ -11,9 +11,10 @@ import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.similarity import Similarity, to_z_up
+from colmap_edges.core.upright import upward
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.export.units import METRES
-from colmap_edges.export.upright import direction, upward
+from colmap_edges.export.upright import direction
 from colmap_edges.export.written import WrittenEdges
 from colmap_edges.runtime.input_files import DAMAGE, read_json
 from colmap_edges.surfaces.faces.outlines import Face

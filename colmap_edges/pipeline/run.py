@@ -10,11 +10,11 @@ from typing import Any
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.writing import check_text_names
+from colmap_edges.core.upright import upward
 from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import OptionError
 from colmap_edges.export.faces import write_faces
 from colmap_edges.export.formats import check_formats
-from colmap_edges.export.upright import upward
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.dense import dense_stage
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage

@@ -7,10 +7,10 @@ import pytest
 from curve_edges import edges_of, segment
 
 from colmap_edges.core.similarity import to_z_up
-from colmap_edges.core.upright import up_direction
+from colmap_edges.core.upright import up_direction, upward
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import OptionError
-from colmap_edges.export.upright import direction, nearest_axis, upward
+from colmap_edges.export.upright import direction, nearest_axis
 
 
 def looking(azimuth_deg, pitch_deg, roll_deg=0.0):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import convolve
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, offsets_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, offsets_of, owners_of
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
@@ -18,9 +18,11 @@ from colmap_edges.surfaces.revolution.sight import entries_of, rays_that_meet, s
 from colmap_edges.surfaces.round_evidence import (
     END_PX,
     MAX_THROUGH,
+    MIN_STEEP,
     MIN_STEPS,
     SPACING_PX,
     Rays,
+    Sight,
     closed_along,
     frontal_views,
     seen_on_body,
@@ -39,11 +41,13 @@ def free_part(profile: Profile, rays: Rays) -> Profile | None:
     """
     sight, count = rays_that_meet(shell_of(profile), rays), len(profile.places)
     bins = np.rint(np.interp(sight.places, profile.places, np.arange(count))).astype(np.int64)
-    through = np.bincount(bins[sight.through], minlength=count)
+    passing = bins[sight.through][are_steep(profile, sight)]
+    through = np.bincount(passing, minlength=count)
     met = np.bincount(bins[~sight.before], minlength=count) + profile.shown.sum(axis=(0, 1))
     around = np.ones(2 * profile.gap + 1)
-    passing = convolve(through, around, mode="constant")
-    free = stretch_of(profile, passing <= MAX_THROUGH * convolve(met, around, mode="constant"))
+    around_met = convolve(met, around, mode="constant")
+    few = convolve(through, around, mode="constant") <= MAX_THROUGH * around_met
+    free = stretch_of(profile, few)
     return free if free and 2 * len(free.places) >= count else None
 
 
@@ -55,15 +59,27 @@ def with_caps(profile: Profile, rays: Rays, evidence: Evidence) -> Profile:
     """
     for end in (1, -1):
         found = cap_of(profile, end)
-        if found is None or has_rim(profile, end, evidence):
+        if found is None or has_rim(profile, end, rays, evidence):
             continue
         whole = joined(profile, *found, end)
         sight = rays_that_meet(shell_of(whole), rays)
         last = profile.places[-1 if end > 0 else 0]
         beyond = (sight.places - last) * end > 0
-        if sight.through[beyond].sum() <= MAX_THROUGH * (beyond & ~sight.before).sum():
+        passing = beyond[sight.through] & are_steep(whole, sight)
+        if passing.sum() <= MAX_THROUGH * (beyond & ~sight.before).sum():
             profile = whole
     return profile
+
+
+def are_steep(profile: Profile, sight: Sight) -> BoolArray:
+    """(m,) whether the rays that pass through a body do not graze it, as those of outlines do."""
+    axis = profile.axis
+    away = sight.entries - axis.point
+    outward = unit(away - np.outer(away @ axis.direction, axis.direction))
+    places = sight.places[sight.through]
+    slopes, rises = (np.interp(places, profile.places, column) for column in profile.normals.T)
+    normals = slopes[:, None] * axis.direction + rises[:, None] * outward
+    return np.asarray(np.einsum("ij,ij->i", sight.directions, normals) < -MIN_STEEP)
 
 
 def joined(
@@ -110,17 +126,26 @@ def cap_of(profile: Profile, end: int) -> tuple[FloatArray, FloatArray, FloatArr
     return (heights + start) * end, np.sqrt(squares), normals
 
 
-def has_rim(profile: Profile, end: int, evidence: Evidence) -> bool:
-    """Whether edges run around an end of a profile, as around an opening."""
+def has_rim(profile: Profile, end: int, rays: Rays, evidence: Evidence) -> bool:
+    """Whether edges run around an end of a profile, as around an opening.
+
+    Outlines that pass for edges are there, too, but only views from beyond the axis show these.
+    """
     axis, last = profile.axis, -1 if end > 0 else 0
-    edges = evidence.points[evidence.edge_ids >= 0] - axis.point
-    along = edges @ axis.direction
-    across = edges - np.outer(along, axis.direction)
+    points = evidence.points - axis.point
+    along = points @ axis.direction
+    across = points - np.outer(along, axis.direction)
     off = np.hypot(
         along / axis.pixel - profile.places[last],
         np.linalg.norm(across, axis=1) / axis.pixel - profile.radii[last],
     )
-    near = across[off < 2 * RIM_PX]
+    near = (off < 2 * RIM_PX) & (evidence.edge_ids >= 0)
+    facing = np.zeros(len(points), bool)
+    owners = owners_of(evidence.offsets)
+    seen = np.flatnonzero(near[owners])
+    before = np.einsum("ij,ij->i", rays.directions[seen], across[owners[seen]]) < 0
+    facing[owners[seen[before]]] = True
+    near = across[facing]
     basis = np.linalg.svd(axis.direction[None])[2][1:]
     angles = np.arctan2(near @ basis[0], near @ basis[1])
     turn = len(np.unique(np.floor(angles / (2 * np.pi) * 36)))

@@ -9,6 +9,7 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, IntArray
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.seen_points import NO_POINTS, joined_seen
+from colmap_edges.core.upright import upward
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.revolution.bodies import (
@@ -26,7 +27,7 @@ from colmap_edges.surfaces.revolution.hypotheses import (
 )
 from colmap_edges.surfaces.revolution.meridians import Axis, meridian_of, samples_near, voted
 from colmap_edges.surfaces.revolution.primitives import faces_of
-from colmap_edges.surfaces.revolution.profiles import profiles_of
+from colmap_edges.surfaces.revolution.profiles import Profile, profiles_of
 from colmap_edges.surfaces.revolution.samples import Samples
 from colmap_edges.surfaces.round_evidence import (
     SAME_SHARE,
@@ -70,33 +71,45 @@ def find_bodies(
     beside = [axis_of_face(face, views) for face in known]
     for axis, face in zip(beside, known, strict=True):
         free = free.select(np.flatnonzero(~are_on_cylinder(free, axis, face)))
-    axes = [*beside, *axes_of_circles(curves, views), *axes_of_mirrored(free, views, random_seed)]
+    mirrored = axes_of_mirrored(free, views, upward(views, curves), random_seed)
+    axes = [*beside, *axes_of_circles(curves, views), *mirrored]
     fits = best_fits(free, axes)
     rays = Rays.of(evidence, views)
     used = np.zeros(len(free.views), bool)
     faces: list[RoundFace] = []
     points = [NO_POINTS]
-    for axis in fits:
-        meridian = meridian_of(free, samples_near(free, axis), axis)
-        for whole in profiles_of(free, meridian, axis, len(views)):
-            if whole.deviation > MAX_DEVIATION_PX or used[whole.rows].mean() > SAME_SHARE:
-                continue
-            profile = free_part(whole, rays)
-            if profile is None:
-                continue
-            ends = axis.point + profile.places[[0, -1], None] * axis.pixel * axis.direction
-            if not is_believed(profile.shown, ends, views):
-                continue
-            capped = with_caps(profile, rays, evidence)
-            on = points_on(capped, seen_bins(capped, views), views, evidence, rays)
-            if on is None:
-                continue
-            used[profile.rows] = True
-            points.append(on)
-            faces += faces_of(capped, np.flatnonzero(on_both_sides(profile.shown)))
+    for whole in best_profiles(free, fits, len(views)):
+        if used[whole.rows].mean() > SAME_SHARE:
+            continue
+        profile = free_part(whole, rays)
+        if profile is None:
+            continue
+        axis = profile.axis
+        ends = axis.point + profile.places[[0, -1], None] * axis.pixel * axis.direction
+        if not is_believed(profile.shown, ends, views):
+            continue
+        capped = with_caps(profile, rays, evidence)
+        on = points_on(capped, seen_bins(capped, views), views, evidence, rays)
+        if on is None:
+            continue
+        used[profile.rows] = True
+        points.append(on)
+        faces += faces_of(capped, np.flatnonzero(on_both_sides(profile.shown)))
     return FoundRound(
         faces=faces, points=joined_seen(points), num_tried=len(axes), num_fitted=len(fits)
     )
+
+
+def best_profiles(samples: Samples, axes: Sequence[Axis], num_views: int) -> list[Profile]:
+    """The profiles about some axes that outlines fit, those first that explain them best."""
+    near = [meridian_of(samples, samples_near(samples, axis), axis) for axis in axes]
+    found = [
+        profile
+        for meridian, axis in zip(near, axes, strict=True)
+        for profile in profiles_of(samples, meridian, axis, num_views)
+        if profile.deviation <= MAX_DEVIATION_PX
+    ]
+    return sorted(found, key=lambda profile: -profile.gain)
 
 
 def axis_of_face(face: RoundFace, views: Sequence[View]) -> Axis:

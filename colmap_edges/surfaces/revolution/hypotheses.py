@@ -3,49 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, IntArray, blocks
 from colmap_edges.core.curves3d import ARC, CIRCLE, Curves3D
-from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.revolution.meridians import MIN_RISE, MIN_SINE, Axis, touched
+from colmap_edges.surfaces.revolution.mirrored import (
+    MIN_PAIRS,
+    NUM_KEPT,
+    Planes,
+    planes_of,
+    upright_planes,
+)
 from colmap_edges.surfaces.revolution.samples import Samples
-from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX
+from colmap_edges.surfaces.round_evidence import MIN_ANGLE
 
 MAX_CIRCLES = 60  # maximum number of circles, the longest ones
 CIRCLE_REACH = 4.0  # radius of the ball around a circle, relative to the circle's
 MAX_BASES = 12  # number of views in which mirrored outlines are sought, evenly chosen
 NUM_PARTNERS = 3  # number of other views with which each is combined
-MAX_SAMPLES = 250  # maximum number of samples of a view, on the longest chains
-MAX_PAIRS = 2000  # maximum number of mirrored pairs of a view
-NUM_TRIED = 200  # number of pairs whose planes are tried
-NUM_PLANES = 8  # maximum number of planes of a view
-NUM_KEPT = 20  # number of pairs of a plane whose profiles are compared
-MIN_PAIRS = 6  # minimum number of pairs of a plane
-MAX_TURN = np.cos(np.radians(4.0))  # between normals of a pair, one of them mirrored
-MIN_FACING = 0.2  # minimum cosine between normals and the direction from one to the other
-MIDDLE_PX = 2.0  # maximum distance of the middle of a pair from its plane
-MAX_TILT = np.cos(np.radians(5.0))  # between the direction of a pair and the plane's normal
 # Maximum distances of profiles of two views: pixels along and across the axis, and angle.
 AGREE = (8.0, 4.0, 0.2)
 MAX_USES = 2  # maximum number of axes of the same samples
 BLOCK = 64  # pairs of profiles that are compared at once, in the cache
 MAX_AXES = 40  # maximum number of axes of mirrored outlines
-
-
-class Planes(NamedTuple):
-    """Planes through a view's centre in which outlines are mirrored.
-
-    Attributes:
-        normals: (p, 3) unit normals.
-        rows: (p, 2 * NUM_KEPT) samples of pairs, some of them repeated.
-    """
-
-    normals: FloatArray
-    rows: IntArray
 
 
 def axes_of_circles(curves: Curves3D, views: Sequence[View]) -> list[Axis]:
@@ -64,85 +47,43 @@ def centers_of(views: Sequence[View]) -> tuple[FloatArray, FloatArray]:
     return np.array([view.center for view in views]), np.array([view.focal_px for view in views])
 
 
-def axes_of_mirrored(samples: Samples, views: Sequence[View], random_seed: int) -> list[Axis]:
+def axes_of_mirrored(
+    samples: Samples, views: Sequence[View], upward: FloatArray, random_seed: int
+) -> list[Axis]:
     """The axes in which planes of symmetry of two views meet, with profiles that agree.
 
     Args:
         samples: samples of the views' chains.
         views: all views.
-        random_seed: of the pairs that are tried.
+        upward: (3,) unit direction in which most bodies stand.
+        random_seed: of the pairs of samples that are tried in any direction.
     """
     rng = np.random.default_rng(random_seed)
     rows_of = rows_by_view(samples.views, len(views))
     bases = np.unique(np.linspace(0, len(views) - 1, min(len(views), MAX_BASES)).astype(int))
-    planes = [planes_of(samples, rows_of[base], rng) for base in bases]
-    centers, focals = centers_of([views[base] for base in bases])
+    chosen = [views[base] for base in bases]
+    upright = [upright_planes(samples, rows_of[base], upward) for base in bases]
+    found = axes_of_planes(samples, upright, chosen)
+    leaning = [planes_of(samples, rows_of[base], rng) for base in bases]
+    return found + axes_of_planes(samples, leaning, chosen)
+
+
+def axes_of_planes(samples: Samples, planes: Sequence[Planes], views: Sequence[View]) -> list[Axis]:
+    """The axes in which the planes of each view meet those of some other views."""
+    centers, focals = centers_of(views)
     normals, rows = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 2 * NUM_KEPT), np.int64)]
     for i, own in enumerate(planes[:-1]):
         order = np.argsort(np.linalg.norm(centers[i + 1 :] - centers[i], axis=1))
-        chosen = np.unique(np.linspace(0, len(order) - 1, NUM_PARTNERS).astype(int))
-        for other in (planes[j] for j in (i + 1 + order[chosen]).tolist()):
+        partners = np.unique(np.linspace(0, len(order) - 1, NUM_PARTNERS).astype(int))
+        for other in (planes[j] for j in (i + 1 + order[partners]).tolist()):
             a, b = (part.ravel() for part in np.indices((len(own.normals), len(other.normals))))
             normals.append(np.stack([own.normals[a], other.normals[b]], axis=1))
             rows.append(np.stack([own.rows[a], other.rows[b]], axis=1))
     pairs = np.concatenate(normals), np.concatenate(rows)
-    return axes_of_planes(samples, *pairs, centers, focals)
+    return axes_of_pairs(samples, *pairs, centers, focals)
 
 
-def planes_of(samples: Samples, rows: IntArray, rng: np.random.Generator) -> Planes:
-    """The planes through a view's centre in which many of its (n,) samples are mirrored."""
-    rows = np.sort(rows[np.argsort(-samples.lengths[rows], kind="stable")[:MAX_SAMPLES]])
-    rays, normals = samples.rays[rows], samples.normals[rows]
-    focal = samples.focals[rows[0]] if len(rows) else 1.0
-    first, second = np.triu_indices(len(rows), 1)
-    gaps = rays[first] - rays[second]
-    widths = np.sqrt(np.einsum("ij,ij->i", gaps, gaps))
-    wide = np.flatnonzero(widths * focal > MIN_WIDTH_PX)
-    first, second = first[wide], second[wide]
-    across = gaps[wide] / widths[wide, None]
-    facing = np.einsum("ij,ij->i", normals[first], across)
-    mirrored = normals[first] - 2 * facing[:, None] * across
-    alike = np.abs(np.einsum("ij,ij->i", mirrored, normals[second]))
-    good = np.flatnonzero((alike > MAX_TURN) & (np.abs(facing) > MIN_FACING))
-    good = rng.permutation(good)[:MAX_PAIRS]
-    first, second, across = first[good], second[good], across[good]
-    middles = unit(rays[first] + rays[second])
-    tried = across[:NUM_TRIED]
-    products = tried @ middles.T  # in place: new arrays of this size take as long as the products
-    fits = np.abs(products, out=products) < MIDDLE_PX / focal
-    np.matmul(tried, across.T, out=products)
-    fits &= np.abs(products, out=products) > MAX_TILT
-    left = np.ones(len(good), bool)
-    found: list[FloatArray] = []
-    kept: list[IntArray] = []
-    while len(good) and len(found) < NUM_PLANES:
-        counts = np.count_nonzero(fits & left, axis=1)
-        best = int(np.argmax(counts))
-        if counts[best] < MIN_PAIRS:
-            break
-        own = np.flatnonzero(fits[best] & left)
-        normal = normal_of(tried[best], middles[own] * focal, across[own])
-        near = np.abs(middles @ normal) * focal < 2 * MIDDLE_PX
-        left &= ~(near & (np.abs(across @ normal) > MAX_TILT)) & ~fits[best]
-        own = np.resize(own, NUM_KEPT)
-        found.append(normal)
-        kept.append(rows[np.concatenate([first[own], second[own]])])
-    return Planes(
-        np.array(found).reshape(-1, 3), np.array(kept, np.int64).reshape(-1, 2 * NUM_KEPT)
-    )
-
-
-def normal_of(start: FloatArray, middles: FloatArray, across: FloatArray) -> FloatArray:
-    """The normal of the plane through (n, 3) middles of pairs, nearly along their (n, 3) gaps."""
-    mean = (across * np.sign(across @ start)[:, None]).sum(axis=0)
-    mean /= np.linalg.norm(mean)
-    # A direction is known to a few degrees only.
-    held = len(across) * (MIDDLE_PX / np.sqrt(1 - MAX_TILT**2)) ** 2
-    matrix = middles.T @ middles + held * (np.eye(3) - np.outer(mean, mean))
-    return np.asarray(np.linalg.eigh(matrix)[1][:, 0])
-
-
-def axes_of_planes(
+def axes_of_pairs(
     samples: Samples,
     normals: FloatArray,
     rows: IntArray,

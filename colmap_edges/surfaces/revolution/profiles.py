@@ -28,6 +28,7 @@ BIN_PX = 3.0  # along the axis
 MAX_OFF = 2.0  # maximum distance from a curve that is to be the profile, in its deviations
 MIN_BINS, MIN_IN_BIN = 4, 6
 OUTLIER_PX = 4.0  # maximum distance of samples from the median of their bin
+SURE_PX = 0.1  # minimum deviation
 CLOSE_PX = 2.5  # maximum distance of outlines from the profile
 # Minimum cosine between a sample's normal and the profile's: those of edges around it have any.
 SAME_TURN = np.cos(np.radians(8.0))
@@ -54,6 +55,11 @@ class Profile:
     shown: BoolArray
     rows: IntArray
     deviation: float
+
+    @property
+    def gain(self) -> float:
+        """The log likelihood of its samples, against any distances within `CLOSE_PX`."""
+        return float(len(self.rows) * np.log(CLOSE_PX / max(self.deviation, SURE_PX)))
 
     @property
     def gap(self) -> int:

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from evidence import points_behind
+from evidence import evidence_of, points_behind
 from plain_rooms import model_of
 from round_scenes import noisy_graph, views_around
 from scipy.spatial import cKDTree
 
+from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import unit
@@ -60,6 +61,14 @@ def ball():
     angles = np.radians(np.linspace(-70, 70, 200))
     sines, cosines = np.sin(angles), np.cos(angles)
     return np.column_stack([0.5 * sines, 0.5 * cosines, sines, cosines])
+
+
+def pebble():
+    """The profile of a flat pebble of length 0.8 and radius 0.5 about the centre."""
+    angles = np.radians(np.linspace(-80, 80, 200))
+    sines, cosines = np.sin(angles), np.cos(angles)
+    normals = unit(np.column_stack([sines / 0.4, cosines / 0.5]))
+    return np.column_stack([0.4 * sines, 0.5 * cosines, normals])
 
 
 def vase():
@@ -124,13 +133,71 @@ def test_its_points_are_seen_from_outside(waisted):
     assert np.mean(facing > 0) > 0.99  # on the slopes a view may see it from above the axis
 
 
-def test_a_ball_gets_its_top(waisted):
+@pytest.fixture(scope="module")
+def rounded():
+    return scene_of(lambda view: outlines_of(pebble(), view))
+
+
+def test_a_ball_gets_its_top():
     found = found_in(scene_of(lambda view: outlines_of(ball(), view)))
     assert {face.kind for face in found.faces} == {"sphere"}
     away = np.linalg.norm(found.points.points - CENTER, axis=1)
     assert away == pytest.approx(0.5, abs=4e-3)
     # No outline shows the top, which all views see.
     assert (found.points.points[:, 2] - CENTER[2]).max() > 0.495
+
+
+def top_of(found):
+    """The highest place of a body's points along the axis."""
+    return radii_of(found.points.points)[1].max()
+
+
+def rings_around(views, is_edge):
+    """Edge points around the end of a pebble's outlines, seen as edges on it or as outlines."""
+    turns, heights = np.meshgrid(np.arange(0, 2 * np.pi, 0.05), np.radians(np.arange(40, 66, 3)))
+    aside = np.linalg.svd(AXIS[None])[2][1:]
+    away = (np.stack([np.cos(turns), np.sin(turns)], axis=-1) @ aside).reshape(-1, 3)
+    cosines, sines = np.cos(heights.ravel())[:, None], np.sin(heights.ravel())[:, None]
+    points = CENTER + 0.5 * cosines * away + 0.4 * sines * AXIS
+    normals = unit(cosines / 0.5 * away + sines / 0.4 * AXIS)
+    toward = unit(np.array([view.center for view in views]) - points[:, None])
+    facing = np.einsum("pvj,pj->pv", toward, normals)
+    seen = facing > 0 if is_edge else np.abs(facing) < 0.05
+    given = evidence_of(points, offsets_of(seen.sum(axis=1)), np.nonzero(seen)[1], 1e-3)
+    return replace(given, edge_ids=np.repeat(np.arange(len(heights)), turns.shape[1]))
+
+
+def test_edges_around_its_end_are_a_rim_unless_they_are_outlines(rounded):
+    edges, outlines = (rings_around(rounded.views, is_edge) for is_edge in (True, False))
+    assert top_of(found_in(rounded, evidence=edges)) < 0.38
+    assert top_of(found_in(rounded, evidence=outlines)) > 0.39
+
+
+def test_rays_that_graze_its_top_leave_it_closed(rounded):
+    behind = []
+    for view in rounded.views:
+        tangent = np.concatenate(list(outlines_of(pebble(), view)))
+        tangent = tangent[(tangent - CENTER) @ AXIS > 0.25]
+        behind.append(points_behind([view], CENTER + 0.96 * (tangent - CENTER)).points)
+    views = np.repeat(np.arange(len(behind), dtype=np.int32), [len(points) for points in behind])
+    points = np.concatenate(behind)
+    evidence = evidence_of(points, np.arange(len(points) + 1), views, 1e-3)
+    assert top_of(found_in(rounded, evidence=evidence)) > 0.39
+
+
+def test_a_small_ball_among_many_curves_is_found():
+    def curves_in(view):
+        rng = np.random.default_rng(view.image_id)
+        bows = np.linspace(-0.5, 0.5, 100)
+        for _ in range(60):
+            start, along, across = rng.uniform(-1, 1, (3, 3))
+            yield CENTER + 1.5 * start + bows[:, None] * along + (bows**2)[:, None] * across
+        yield from outlines_of(0.3 * ball() + [0, 0, 0.7, 0.7] * ball(), view)
+
+    found = found_in(scene_of(curves_in))
+    away = np.linalg.norm(found.points.points - CENTER, axis=1)
+    assert len(away) > 100
+    assert away == pytest.approx(0.15, abs=4e-3)
 
 
 def test_a_cone_is_one():
