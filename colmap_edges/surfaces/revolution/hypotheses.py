@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray, blocks
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, blocks
 from colmap_edges.core.curves3d import ARC, CIRCLE, Curves3D
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.revolution.meridians import MIN_RISE, MIN_SINE, Axis, touched
@@ -151,12 +151,22 @@ def different(rows: IntArray, counts: IntArray, num_samples: int) -> IntArray:
 def common(profiles: FloatArray, angles: FloatArray) -> IntArray:
     """(K,) how many points of two profiles agree; (K, 2, n, 2) points, (K, 2, n) their angles."""
     found = np.zeros(len(profiles), np.int64)
-    parts = (*np.moveaxis(profiles, 3, 0), angles)
-    for block in blocks(len(found), BLOCK):
+    parts = np.concatenate([profiles, angles[..., None]], axis=3)
+    overlapping = np.flatnonzero(may_agree(parts))
+    for block in blocks(len(overlapping), BLOCK):
+        rows = overlapping[block]
         near = np.ones((1, 1, 1), bool)
-        for part, limit in zip(parts, AGREE, strict=True):
+        for part, limit in zip(np.moveaxis(parts[rows], 3, 0), AGREE, strict=True):
             with np.errstate(invalid="ignore"):
-                one, other = part[block, 0, :, None], part[block, 1, None, :]
-                near = near & (np.abs(one - other) < limit)
-        found[block] = [np.minimum(*(of.any(axis=k).sum() for k in range(2))) for of in near]
+                near = near & (np.abs(part[:, 0, :, None] - part[:, 1, None, :]) < limit)
+        found[rows] = np.minimum(*(near.any(axis=k).sum(axis=1) for k in (1, 2)))
     return found
+
+
+def may_agree(parts: FloatArray) -> BoolArray:
+    """(K,) whether enough of the (K, 2, n, 3) points of two profiles lie in each other's range."""
+    lowest = np.fmin.reduce(parts, axis=2)[:, ::-1, None] - AGREE
+    highest = np.fmax.reduce(parts, axis=2)[:, ::-1, None] + AGREE
+    with np.errstate(invalid="ignore"):
+        inside = ((parts > lowest) & (parts < highest)).all(axis=3)
+    return np.asarray((inside.sum(axis=2) >= MIN_PAIRS).all(axis=1))
