@@ -154,7 +154,7 @@ def level_pairs(
     Returns:
         (m,) first and (m,) second samples and (m,) ascending angles of the planes in the basis.
     """
-    heights = np.arcsin(samples.rays @ upward)
+    heights = np.arcsin(np.clip(samples.rays @ upward, -1, 1))
     above = unit(upward - np.sin(heights)[:, None] * samples.rays)
     across = np.einsum("ij,ij->i", samples.normals, cross(above, samples.rays))
     rises = np.einsum("ij,ij->i", samples.normals, above)
