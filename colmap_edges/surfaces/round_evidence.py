@@ -83,6 +83,11 @@ class Sight(NamedTuple):
     entries: FloatArray
     directions: FloatArray
 
+    def are_steep(self, normals: FloatArray) -> BoolArray:
+        """(m,) whether the rays do not graze the surface, with (m, 3) unit normals at entries."""
+        cosines = -np.einsum("ij,ij->i", self.directions, normals)
+        return np.asarray(cosines > MIN_STEEP)
+
 
 class Rays(NamedTuple):
     """Rays from views to the points that they observe.
@@ -232,8 +237,7 @@ def are_passed(points: FloatArray, normals: FloatArray, sight: Sight, step: floa
     False points of outlines are behind those, so that their rays graze the body.
     """
     nearest = cKDTree(points).query(sight.entries)[1]
-    cosines = -np.einsum("ij,ij->i", sight.directions, normals[nearest])
-    return are_near(points, sight.entries[cosines > MIN_STEEP], step)
+    return are_near(points, sight.entries[sight.are_steep(normals[nearest])], step)
 
 
 def are_near(points: FloatArray, others: FloatArray, reach: float) -> BoolArray:

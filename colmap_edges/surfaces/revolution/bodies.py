@@ -18,7 +18,6 @@ from colmap_edges.surfaces.revolution.sight import entries_of, rays_that_meet, s
 from colmap_edges.surfaces.round_evidence import (
     END_PX,
     MAX_THROUGH,
-    MIN_STEEP,
     MIN_STEPS,
     SPACING_PX,
     Rays,
@@ -41,13 +40,11 @@ def free_part(profile: Profile, rays: Rays) -> Profile | None:
     """
     sight, count = rays_that_meet(shell_of(profile), rays), len(profile.places)
     bins = np.rint(np.interp(sight.places, profile.places, np.arange(count))).astype(np.int64)
-    passing = bins[sight.through][are_steep(profile, sight)]
-    through = np.bincount(passing, minlength=count)
+    through = np.bincount(bins[sight.through][are_steep(profile, sight)], minlength=count)
     met = np.bincount(bins[~sight.before], minlength=count) + profile.shown.sum(axis=(0, 1))
     around = np.ones(2 * profile.gap + 1)
-    around_met = convolve(met, around, mode="constant")
-    few = convolve(through, around, mode="constant") <= MAX_THROUGH * around_met
-    free = stretch_of(profile, few)
+    through, met = (convolve(counts, around, mode="constant") for counts in (through, met))
+    free = stretch_of(profile, through <= MAX_THROUGH * met)
     return free if free and 2 * len(free.places) >= count else None
 
 
@@ -79,7 +76,7 @@ def are_steep(profile: Profile, sight: Sight) -> BoolArray:
     places = sight.places[sight.through]
     slopes, rises = (np.interp(places, profile.places, column) for column in profile.normals.T)
     normals = slopes[:, None] * axis.direction + rises[:, None] * outward
-    return np.asarray(np.einsum("ij,ij->i", sight.directions, normals) < -MIN_STEEP)
+    return sight.are_steep(normals)
 
 
 def joined(
@@ -139,15 +136,12 @@ def has_rim(profile: Profile, end: int, rays: Rays, evidence: Evidence) -> bool:
         along / axis.pixel - profile.places[last],
         np.linalg.norm(across, axis=1) / axis.pixel - profile.radii[last],
     )
-    near = (off < 2 * RIM_PX) & (evidence.edge_ids >= 0)
-    facing = np.zeros(len(points), bool)
     owners = owners_of(evidence.offsets)
-    seen = np.flatnonzero(near[owners])
-    before = np.einsum("ij,ij->i", rays.directions[seen], across[owners[seen]]) < 0
-    facing[owners[seen[before]]] = True
-    near = across[facing]
+    before = np.einsum("ij,ij->i", rays.directions, across[owners]) < 0
+    faced = np.bincount(owners[before], minlength=len(points)) > 0
+    rim = across[(off < 2 * RIM_PX) & (evidence.edge_ids >= 0) & faced]
     basis = np.linalg.svd(axis.direction[None])[2][1:]
-    angles = np.arctan2(near @ basis[0], near @ basis[1])
+    angles = np.arctan2(rim @ basis[0], rim @ basis[1])
     turn = len(np.unique(np.floor(angles / (2 * np.pi) * 36)))
     return turn > RIM_SHARE * 36
 
