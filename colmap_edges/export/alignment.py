@@ -29,7 +29,7 @@ class Wanted:
     """The frame that a user asks for; what is None stays as it is.
 
     Attributes:
-        up: axis of the model that points up, a key of `upright.AXES`, or "auto".
+        up: axis of the model that points up, a key of `units.AXES`, or "auto".
         scale: factor of all lengths.
         edge_length: number of an edge, and the length that it gets.
         unit: unit of the new coordinates, a key of `METRES`.
