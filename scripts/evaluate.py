@@ -228,13 +228,13 @@ def poses(
                 errors = pose_metrics.pose_errors(result, truth)
                 rows.append([name, noise_px, seed, by, *errors, *more])
     header = ["start", "noise px", "seed", "poses by", "centres rms", "rotations rms deg"]
-    click.echo(tables.markdown([*header, "edge points", "held-out gains"], rows))
+    click.echo(tables.markdown([*header, "edge points", "held-out gain"], rows))
 
 
 def adjustments(
     start: Any, scale: float, graphs: Any, options: PipelineOptions
 ) -> list[tuple[Any, ...]]:
-    """Models by each adjustment, with the edge points before and after, and held-out gains."""
+    """Models by each adjustment, with the edge points before and after, and the held-out gain."""
     rows: list[tuple[Any, ...]] = [("start", start, "", "")]
     for name, robust in (("SfM points (COLMAP)", False), ("SfM points (COLMAP, Cauchy)", True)):
         adjusted = pycolmap.Reconstruction(start)
@@ -245,8 +245,8 @@ def adjustments(
     refined, _ = edge_stages(model, graphs, resolved(options, scale), stages)
     traced, refining, *again = [stage["counts"] for stage in stages.records()]
     counts = " -> ".join(str(c["edge_points"]) for c in (traced, *again))
-    gains = ", ".join(f"{gain:+.1%}" for gain in refining.get("held_out_gains", []))
-    rows.append(("SfM and edge points", refined.reconstruction, counts, gains))
+    gain = f"{refining['held_out_gain']:+.1%}" if "held_out_gain" in refining else ""
+    rows.append(("SfM and edge points", refined.reconstruction, counts, gain))
     return rows
 
 

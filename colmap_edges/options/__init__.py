@@ -15,7 +15,7 @@ from colmap_edges.options.paper import (
     VisibilityOptions,
 )
 from colmap_edges.options.presets import METHODS, PRESETS, QUALITIES, chosen_preset, preset
-from colmap_edges.options.resolving import of_later_rounds, of_pose_edges, recorded, resolved
+from colmap_edges.options.resolving import of_later_rounds, recorded, resolved
 from colmap_edges.options.tracing import (
     ChainDepthOptions,
     CurvesOptions,
@@ -49,7 +49,6 @@ __all__ = [
     "VisibilityOptions",
     "chosen_preset",
     "of_later_rounds",
-    "of_pose_edges",
     "preset",
     "recorded",
     "resolved",

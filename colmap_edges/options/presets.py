@@ -48,6 +48,7 @@ PAPER: dict[str, Any] = {
         "vote_threshold": 2.1,
         "min_segment_factor": 0.0,
     },
+    "refine_poses": False,
     "use_faces": False,
     "use_patches": False,
     "refine_mesh": False,

@@ -46,33 +46,11 @@ def of_later_rounds(settings: PipelineOptions) -> PipelineOptions:
     )
 
 
-def of_pose_edges(settings: PipelineOptions) -> PipelineOptions:
-    """The settings for tracing the edges that poses are refined on.
-
-    Only the first matching round is used, whose edges are the most reliable, and only observations
-    from similar directions. The photometric term is off, since pose refinement uses residuals
-    across edges alone. Denser samples give more edges. None of this applies to the paper's tracing.
-    """
-    if settings.tracing.method == "paper":
-        return settings
-    selection, depths = settings.view_selection, settings.chain_depth
-    step = int(settings.bundle_adjustment.sample_step_ratio * depths.sample_step_points)
-    return replace(
-        settings,
-        chain_depth=derived(depths, sample_step_points=step),
-        view_selection=replace(selection, max_observing_angle_deg=selection.max_angle_deg),
-        refinement=replace(settings.refinement, side_gray_weight=0.0),
-        tracing=replace(settings.tracing, num_rounds=1),
-    )
-
-
 def recorded(settings: PipelineOptions) -> dict[str, Any]:
     """The settings of a run for report.json, with the deviating settings of single steps."""
     steps = {}
     if settings.tracing.method == "chains" and settings.tracing.num_rounds > 1:
         steps["later_rounds"] = of_later_rounds(settings)
-    if settings.refine_poses:
-        steps["pose_edges"] = of_pose_edges(settings)
     return asdict(settings) | {name: differences(settings, of) for name, of in steps.items()}
 
 

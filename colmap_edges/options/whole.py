@@ -81,8 +81,8 @@ class PipelineOptions(Options):
     )
     report: bool = option(True, "Write report.html, a page with a 3D viewer", stage="write")
     refine_poses: bool = option(
-        False,
-        "Refine the poses on SfM points and edges, then reconstruct the edges again",
+        True,
+        "Refine the poses on SfM points and edges, if held-out points fit better for it",
         stage="refine",
     )
     masks_are_background: bool = option(
@@ -107,10 +107,6 @@ class PipelineOptions(Options):
     def __post_init__(self) -> None:
         """Raise `OptionError` for a value outside its range, or options that contradict."""
         super().__post_init__()
-        if self.refine_poses and not self.use_edges:
-            raise OptionError(
-                "refine_poses is 1 and use_edges 0, but poses are refined on edges; set use_edges 1"
-            )
         if self.masks_are_background and not self.use_edges:
             raise OptionError(
                 "masks_are_background is 1 and use_edges 0, but masks are read only to find edges; "

@@ -16,7 +16,7 @@ from colmap_edges.core.arrays import FloatArray, flattened, unflattened
 from colmap_edges.core.edges3d import Edges3D, Nodes, TracedEdges
 from colmap_edges.core.view import View, track_residuals
 from colmap_edges.edges2d.graphs import Graphs
-from colmap_edges.options import PipelineOptions, of_pose_edges
+from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
 from colmap_edges.runtime.cache import Arrays, key_of
 from colmap_edges.runtime.executors import Workers, open_workers, thread_count
@@ -30,17 +30,16 @@ def edge_stages(
     stages: Stages,
     workers: Workers | None = None,
 ) -> tuple[Model, TracedEdges]:
-    """Trace 3D edges; with `refine_poses`, refine the poses on them and trace again.
+    """Trace 3D edges; with `refine_poses`, refine the poses on them, and if they move trace again.
 
     Returns:
         The (refined) model, and the edges with the view-dependent contours.
     """
+    traced = trace_stage(model, detection, options, stages, workers=workers)
     if not options.refine_poses:
-        return model, trace_stage(model, detection, options, stages, workers=workers)
-    first = of_pose_edges(options)
-    traced = trace_stage(model, detection, first, stages, workers=workers)
+        return model, traced
     refined = refine_stage(model, traced.edges, options, stages)
-    if refined is not model or first != options:
+    if refined is not model:
         traced = trace_stage(refined, detection, options, stages, "trace again", workers)
     return refined, traced
 
@@ -56,7 +55,7 @@ def refine_stage(
 
     with stages.stage("refine poses") as stage:
         refined, stats = refine_poses(
-            model, edges, options.bundle_adjustment, thread_count(options)
+            model, edges, options.bundle_adjustment, thread_count(options), options.random_seed
         )
         stage.counts = plain_counts(stats)
     return refined

@@ -233,3 +233,24 @@ def linearized(problem: Problem, state: State) -> _kernels.Adjustment:
         frame_centers(problem, state),
         state.points,
     )
+
+
+def mean_squared_slopes(problem: Problem, state: State) -> FloatArray:
+    """(F, 6, 6) mean of J^T J over the points that each frame observes; 0 without any.
+
+    J is (2, 6), the derivative of a point's pixel with respect to the motion of its frame.
+    """
+    measured = problem.measured
+    frames, points = problem.frames[measured.views], state.points[measured.owners]
+    rotations, translations = (of[measured.views] for of in poses(problem, state))
+    local = np.einsum("nij,nj->ni", rotations, points) + translations
+    scales = problem.focals_px[measured.views] / local[:, 2]
+    axes = rotations[:, :2] - (local[:, :2] / local[:, 2:])[:, :, None] * rotations[:, 2:]
+    shifts = axes * scales[:, None, None]
+    # A turn w of the frame moves a point at x from its centre by w x x.
+    turns = np.cross((points - frame_centers(problem, state)[frames])[:, None], shifts)
+    slopes = np.concatenate([turns, shifts], axis=2)
+    sums = np.zeros((problem.num_frames, 6, 6))
+    np.add.at(sums, frames, np.einsum("nki,nkj->nij", slopes, slopes))
+    counts = np.bincount(frames, minlength=problem.num_frames)
+    return np.asarray(sums / np.maximum(counts, 1)[:, None, None])

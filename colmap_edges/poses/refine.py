@@ -10,12 +10,11 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.writing import moved_model
-from colmap_edges.core.arrays import BoolArray
+from colmap_edges.core.arrays import BoolArray, FloatArray, ranks_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import EDGE, SFM, Problem, State, make_problem
 from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, minimize
-from colmap_edges.poses.systems import Prior
 
 
 def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem, State]:
@@ -33,22 +32,21 @@ def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem,
 
 def held_out_costs(
     problem: Problem, start: State, options: BundleAdjustmentOptions, num_threads: int
-) -> list[tuple[float, float]]:
-    """Costs of each half of the points, with the initial poses and with those of the other half.
+) -> FloatArray:
+    """Costs of each fold of the points, with the initial poses and with those of the other folds.
 
-    All points of a 3D edge are in one half. Refined poses lower the cost of held-out points only if
+    All points of a 3D edge are in one fold. Refined poses lower the cost of held-out points only if
     the initial poses were wrong; fitting noise raises it.
-    """
-    half = np.unique(problem.groups, return_inverse=True)[1] % 2 == 1
 
-    def costs_by(used: BoolArray) -> tuple[float, float]:
-        moved = adjust(*part_of(problem, start, used), options)
-        held_out, before = part_of(problem, start, ~used)
-        noise = Noise(
-            sigmas_px=estimate_sigmas(held_out, before),
-            robust_factor=options.robust_factor,
-            prior=Prior.none(problem.num_frames),
-        )
+    Returns:
+        (K, 2) the costs of the K folds before and after.
+    """
+    folds = np.unique(problem.groups, return_inverse=True)[1] % options.num_folds
+
+    def costs_of(fold: int) -> tuple[float, float]:
+        moved = adjust(*part_of(problem, start, folds != fold), options)
+        held_out, before = part_of(problem, start, folds == fold)
+        noise = Noise.of(held_out, before, options)
         after = replace(moved, points=before.points)
         cost, refined_cost = (
             minimize(held_out, state, noise, options.max_steps, move_poses=False)[1]
@@ -56,23 +54,28 @@ def held_out_costs(
         )
         return cost, refined_cost
 
-    with ThreadPoolExecutor(min(num_threads, 2)) as pool:
-        return list(pool.map(costs_by, (half, ~half)))
+    with ThreadPoolExecutor(min(num_threads, options.num_folds)) as pool:
+        return np.array(list(pool.map(costs_of, range(options.num_folds))))
 
 
 def refine_poses(
-    model: Model, edges: Edges3D, options: BundleAdjustmentOptions, num_threads: int = 1
+    model: Model,
+    edges: Edges3D,
+    options: BundleAdjustmentOptions,
+    num_threads: int = 1,
+    random_seed: int = 0,
 ) -> tuple[Model, dict[str, Any]]:
     """Refine the poses of a model on its SfM points and its edges.
 
     Position, orientation and scale of the model are kept, so that frames move as little as
-    possible. Poses change only if this lowers the cost of the held-out points in both halves.
+    possible. Poses change only if this lowers the costs of held-out points, in the median of folds.
 
     Args:
         model: posed views and SfM points; not changed.
         edges: 3D edges traced with the model's poses.
         options: robustness and effort.
-        num_threads: number of threads (at most two are used); does not affect the result.
+        num_threads: number of threads (one a fold is used); does not affect the result.
+        random_seed: seed of the choice of points.
 
     Returns:
         The model with refined poses and SfM points, or `model` itself, and counts.
@@ -84,15 +87,19 @@ def refine_poses(
         "edge_points": np.count_nonzero(problem.kinds == EDGE),
         "refined": False,
     }
-    if problem.num_residuals < 6 * problem.num_frames + 3 * len(problem.kinds):
+    few = problem.num_residuals < 6 * problem.num_frames + 3 * len(problem.kinds)
+    if few or len(np.unique(problem.groups)) < options.num_folds:
         return model, stats  # too few measurements
-    costs = held_out_costs(problem, start, options, num_threads)
-    gains = [1 - after / max(before, 1e-300) for before, after in costs]
-    stats["held_out_gains"] = gains
-    if min(gains) <= options.min_gain:
+    tested, used = (
+        part_of(problem, start, enough_points(problem, count, random_seed))
+        for count in (options.tested_observations, options.adjusted_observations)
+    )
+    before, after = held_out_costs(*tested, options, num_threads).T
+    stats["held_out_gain"] = float(np.median(1 - after / np.maximum(before, 1e-300)))
+    if stats["held_out_gain"] < options.min_gain:
         return model, stats
-    state = adjust(problem, start, options)
-    sigmas = estimate_sigmas(problem, state)
+    state = adjust(*used, options)
+    sigmas = estimate_sigmas(used[0], state)
     stats |= {
         "refined": True,
         "sfm_sigma_px": sigmas[SFM],
@@ -100,7 +107,24 @@ def refine_poses(
         "median_turn_deg": np.degrees(np.median(np.linalg.norm(state.moved[:, :3], axis=1))),
         "median_shift": np.median(np.linalg.norm(state.moved[:, 3:], axis=1)),
     }
-    return adjusted_model(model, problem, state), stats
+    moved = replace(state, points=start.points)
+    points, at = part_of(problem, moved, problem.kinds == SFM)
+    noise = Noise.of(points, at, options)
+    at, _ = minimize(points, at, noise, options.max_steps, move_poses=False)
+    return adjusted_model(model, points, at), stats
+
+
+def enough_points(problem: Problem, num_observations: int, random_seed: int) -> BoolArray:
+    """(P,) points chosen by chance, so many that each frame has `num_observations`, or all."""
+    measured, count = problem.measured, len(problem.kinds)
+    owners, frames = measured.owners, problem.frames[measured.views]
+    turn = np.random.default_rng(random_seed).permutation(count)[owners]
+    order = np.lexsort((turn, frames))
+    ranks = np.empty(len(order), np.int64)
+    ranks[order] = ranks_of(np.bincount(frames, minlength=problem.num_frames))
+    chosen = np.zeros(count, bool)
+    chosen[owners[ranks < num_observations]] = True
+    return chosen
 
 
 def adjusted_model(model: Model, problem: Problem, state: State) -> Model:

@@ -19,6 +19,7 @@ from colmap_edges.poses.problem import (
     State,
     frame_centers,
     linearized,
+    mean_squared_slopes,
 )
 from colmap_edges.poses.systems import Prior, shared_frames, solve_poses
 
@@ -36,6 +37,15 @@ class Noise:
     sigmas_px: FloatArray
     robust_factor: float
     prior: Prior
+
+    @classmethod
+    def of(cls, problem: Problem, state: State, options: BundleAdjustmentOptions) -> Noise:
+        """The noise of the residuals at `state`, without a prior."""
+        return cls(
+            sigmas_px=estimate_sigmas(problem, state),
+            robust_factor=options.robust_factor,
+            prior=Prior.none(problem.num_frames),
+        )
 
     @property
     def weighting(self) -> tuple[tuple[float, float], float]:
@@ -148,27 +158,24 @@ def adjust(problem: Problem, state: State, options: BundleAdjustmentOptions) -> 
     prior = None
     sigmas = np.full(2, np.inf)
     for _ in range(options.max_rounds):
-        before, sigmas = sigmas, estimate_sigmas(problem, state)
+        before, noise = sigmas, Noise.of(problem, state, options)
+        sigmas = noise.sigmas_px
         if np.all(sigmas > 0.98 * before):
             break
-        noise = Noise(
-            sigmas_px=sigmas,
-            robust_factor=options.robust_factor,
-            prior=prior or Prior.none(problem.num_frames),
-        )
-        if prior is None:
-            prior = gauge_prior(problem, state, noise)
-            noise = replace(noise, prior=prior)
-        state, _ = minimize(problem, state, noise, options.max_steps)
+        prior = prior or model_prior(problem, state, noise, options.prior_observations)
+        state, _ = minimize(problem, state, replace(noise, prior=prior), options.max_steps)
     return state
 
 
-def gauge_prior(problem: Problem, state: State, noise: Noise) -> Prior:
-    """Information that fixes position, orientation and scale of the model.
+def model_prior(problem: Problem, state: State, noise: Noise, num_observations: float) -> Prior:
+    """Information that keeps poses near `state`, and the model's position, orientation and scale.
 
-    Along these directions it is as strong as the measurements of the frames if the points were
-    known; it is zero across them. Without it the model would drift, since edge points do not move
-    along their edges. A rig of several cameras determines the scale itself.
+    Each pose is kept as by `num_observations` points that it shows where it does now, with the
+    standard deviation of edges: initial poses are off by what their edges are off.
+
+    Position, orientation and scale are kept as by the measurements of the frames if the points
+    were known. Without it the model would drift, since edge points do not move along their edges. A
+    rig of several cameras determines the scale itself.
     """
     count = problem.num_frames
     pattern = shared_frames(problem)
@@ -184,9 +191,9 @@ def gauge_prior(problem: Problem, state: State, noise: Noise) -> Prior:
         moves[:, 3 + axis, 3 + axis] = 1
     moves[:, 3:, 6:] = centers[:, :, None]
     held = (information @ moves).reshape(6 * count, -1)
-    # Prior on each pose, relative to its information, for undetermined directions.
-    weak = 1e-6 * information
-    unseen = np.einsum("fii->fi", information) == 0
-    np.einsum("fii->fi", weak)[unseen] += 1.0
     core = np.linalg.pinv(moves.reshape(6 * count, -1).T @ held, hermitian=True)
-    return Prior(blocks=weak, held=held, core=core)
+    off_px = noise.sigmas_px[EDGE if np.any(problem.kinds == EDGE) else SFM]
+    blocks = mean_squared_slopes(problem, state) * num_observations / off_px**2
+    unseen = np.einsum("fii->fi", blocks) == 0
+    np.einsum("fii->fi", blocks)[unseen] += 1.0
+    return Prior(blocks=blocks, held=held, core=core)

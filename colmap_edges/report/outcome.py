@@ -60,6 +60,8 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
             f"{counted(detect['edge_pixels'], 'pixel')}"
         )
     texts["Points"] = counted(read["points3D"], "SfM point")
+    if "held_out_gain" in (poses := counts.get("refine poses", {})):
+        texts["Poses"] = poses_text(poses)
     if write is not None:
         points = counted(write["edge_points"], "edge point")
         texts["Points"] += f" and {points} in the written model"
@@ -88,6 +90,13 @@ def images_text(read: Mapping[str, Any], detect: Mapping[str, Any]) -> str:
     if detect.get("images_without_edges"):
         parts.append(f"{detect['images_without_edges']:,} in which no edge was detected")
     return ", ".join(parts)
+
+
+def poses_text(poses: Mapping[str, Any]) -> str:
+    """Whether poses were refined, and what held-out points say."""
+    if poses["refined"]:
+        return f"refined on edges: points left out of it fit {poses['held_out_gain']:.0%} better"
+    return "kept as they are: refining them on edges does not make points left out of it fit better"
 
 
 def edges_text(write: Mapping[str, Any], unit: str) -> str:

@@ -19,12 +19,7 @@ from colmap_edges.evaluation.metrics.poses import (
     pose_errors,
     with_pose_noise,
 )
-from colmap_edges.options import (
-    BundleAdjustmentOptions,
-    PipelineOptions,
-    TracingOptions,
-    of_pose_edges,
-)
+from colmap_edges.options import BundleAdjustmentOptions, PipelineOptions, TracingOptions
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
@@ -267,7 +262,7 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
         start = with_pose_noise(true, 0.2, seed)
         model = model_from_reconstruction(start)
         # As `edge_stages` does, which then traces again.
-        edges = trace_stage(model, graphs, of_pose_edges(options), Stages()).edges
+        edges = trace_stage(model, graphs, options, Stages()).edges
         refined = refine_stage(model, edges, options, Stages())
         before, after = pose_errors(start, truth), pose_errors(refined.reconstruction, truth)
         assert max(np.divide(after, before)) < 0.8
@@ -276,12 +271,6 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
         alone = pycolmap.Reconstruction(start)
         adjust_by_colmap(alone, poses=True, robust=robust)
         assert max(np.divide(np.mean(remaining, axis=0), pose_errors(alone, truth))) < 0.6
-
-
-def test_the_papers_edges_are_traced_once_where_poses_are_kept():
-    paper = PipelineOptions(tracing=TracingOptions(method="paper"))
-    assert of_pose_edges(paper) == paper
-    assert of_pose_edges(PipelineOptions()) != PipelineOptions()
 
 
 def test_true_poses_are_kept(demo_part):
