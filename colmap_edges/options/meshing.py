@@ -14,8 +14,8 @@ class BundleAdjustmentOptions(Options):
     # Scale of the Cauchy loss of residuals, in standard deviations of an observation (near the
     # 1.345 of Huber's estimator).
     robust_factor: float = 1.5
-    # Number of observations in each frame by the points that are held out in turn, and by those that
-    # poses are adjusted to. Points are chosen by chance (set by trial: more change nothing but time).
+    # Observations of each frame by the points that are held out in turn, and by those that poses
+    # are adjusted to. Points are chosen by chance (set by trial: more change nothing but the time).
     tested_observations: int = 500
     adjusted_observations: int = 2000
     # Number of parts in which points are held out.
