@@ -24,6 +24,9 @@ from colmap_edges.poses.problem import (
 from colmap_edges.poses.systems import Prior, shared_frames, solve_poses
 
 
+ANY_WAY = 0.01  # share of the initial poses' information that holds them in every direction
+
+
 @dataclass(frozen=True, kw_only=True)
 class Noise:
     """The noise model of the residuals.
@@ -192,8 +195,13 @@ def model_prior(problem: Problem, state: State, noise: Noise, num_observations: 
     moves[:, 3:, 6:] = centers[:, :, None]
     held = (information @ moves).reshape(6 * count, -1)
     core = np.linalg.pinv(moves.reshape(6 * count, -1).T @ held, hermitian=True)
+    blocks = mean_squared_slopes(problem, state)
+    # Motions that displace none of a frame's points are held, too.
+    for part in (slice(0, 3), slice(3, 6)):
+        all_ways = np.einsum("fii->fi", blocks)[:, part].mean(axis=1, keepdims=True)
+        np.einsum("fii->fi", blocks)[:, part] += ANY_WAY * all_ways
     off_px = noise.sigmas_px[EDGE if np.any(problem.kinds == EDGE) else SFM]
-    blocks = mean_squared_slopes(problem, state) * num_observations / off_px**2
+    blocks *= num_observations / off_px**2
     unseen = np.einsum("fii->fi", blocks) == 0
     np.einsum("fii->fi", blocks)[unseen] += 1.0
     return Prior(blocks=blocks, held=held, core=core)

@@ -219,7 +219,6 @@ def test_flags_of_the_mesh_alone_are_no_flags_of_reconstruct(flags, tmp_path, fl
     [
         (["--Tracing.num_rounds", "2147483647"], "it must be from 1 to 10"),
         (["--output_type", "PLY"], "'PLY' is not one of: BIN, TXT"),
-        (["--refine_poses", "1", "--use_edges", "0"], "--refine_poses is 1 and --use_edges 0"),
         (["--masks_are_background", "1"], "there are no masks; give --mask_path"),
         (["--scheduler", "tcp://localhost:1"], "a --scheduler needs --cache_path"),
         (

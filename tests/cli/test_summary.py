@@ -38,6 +38,26 @@ def test_six_lines_in_a_users_words(output):
     assert "270 in 3D" in lines[1]
 
 
+@pytest.mark.parametrize(
+    ("counts", "line"),
+    [
+        (
+            {"refined": True, "held_out_gain": 0.381},
+            "Poses:    refined on edges: points left out of it fit 38% better",
+        ),
+        (
+            {"refined": False, "held_out_gain": -0.02},
+            "Poses:    kept as they are: refining them on edges does not make points left out of "
+            "it fit better",
+        ),
+        ({"refined": False}, None),
+    ],
+)
+def test_what_became_of_the_poses(output, counts, line):
+    lines = summary(report_of([*STAGES, ("refine poses", counts)]), output, 1.0, verbose=False)
+    assert [text for text in lines if text.startswith("Poses")] == ([line] if line else [])
+
+
 def test_notes_precede_results(output):
     finding = {"text": "3 images have no pose", "remedy": "register them"}
     lines = summary(report_of(findings=[finding]), output, 1.0, verbose=False)

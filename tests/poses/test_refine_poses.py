@@ -25,7 +25,7 @@ from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
 from colmap_edges.pipeline.trace import edge_stages, refine_stage, trace_stage
 from colmap_edges.poses import problem as ba
-from colmap_edges.poses.refine import adjusted_model, part_of, refine_poses
+from colmap_edges.poses.refine import adjusted_model, enough_points, part_of, refine_poses
 from colmap_edges.poses.solver import adjust
 from colmap_edges.runtime.stages import Stages
 
@@ -205,6 +205,42 @@ def test_images_of_a_rig_move_together():
     for view in refined.views:
         pose = refined.reconstruction.images[view.image_id].cam_from_world().matrix()
         np.testing.assert_allclose(pose, np.column_stack([view.rotation, view.translation]))
+
+
+def test_a_view_with_few_points_stays_near_its_place(noisy):
+    model, edges = noisy
+    # All but three edge points are no more observed by the first view, nor are its SfM points.
+    seen, tracks = (
+        edges.observations,
+        np.repeat(np.arange(len(model.point3D_ids)), np.diff(model.track_offsets)),
+    )
+    lone = np.flatnonzero(seen.views == 0)[3:]
+    observed = seen.keep(~np.isin(np.arange(len(seen.views)), lone))
+    kept = model.track_views != 0
+    sparse = replace(
+        model,
+        track_views=model.track_views[kept],
+        track_points2D=model.track_points2D[kept],
+        track_offsets=np.searchsorted(tracks[kept], np.arange(len(model.point3D_ids) + 1)),
+    )
+    start, moved = off(sparse, replace(edges, observations=observed), turn=2e-4, shift=1e-3)
+    problem, state = ba.make_problem(start, moved)
+    strong, weak = (
+        np.linalg.norm(adjust(problem, state, replace(OPTIONS, prior_observations=count)).moved[0])
+        for count in (30.0, 1e-6)
+    )
+    assert strong < 0.002
+    assert weak > 2 * strong
+
+
+def test_of_many_points_each_frame_keeps_enough(exact):
+    problem, _ = ba.make_problem(*exact)
+    frames, owners = problem.frames[problem.measured.views], problem.measured.owners
+    everything = np.bincount(frames)
+    used = enough_points(problem, 20, random_seed=0)
+    assert 0 < used.sum() < 0.5 * len(used)
+    assert (np.bincount(frames[used[owners]]) >= np.minimum(everything, 20)).all()
+    assert enough_points(problem, 10**6, random_seed=0).all()
 
 
 def test_too_little_to_know_is_left_alone(scene_model):

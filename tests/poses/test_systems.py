@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from colmap_edges.poses import problem as ba
 from colmap_edges.poses import systems
-from colmap_edges.poses.solver import Noise, apply_step, cost_of, gauge_prior, minimize, solve_step
+from colmap_edges.poses.solver import Noise, apply_step, cost_of, minimize, model_prior, solve_step
 from colmap_edges.poses.systems import Prior, shared_frames
 
 
@@ -66,7 +66,7 @@ def noise_of(problem, state):
     noise = Noise(
         sigmas_px=np.array([0.3, 0.2]), robust_factor=2.0, prior=Prior.none(problem.num_frames)
     )
-    return replace(noise, prior=gauge_prior(problem, state, noise))
+    return replace(noise, prior=model_prior(problem, state, noise, 1e-3))
 
 
 def numeric_jacobian(problem, state):
@@ -127,6 +127,35 @@ def test_step_is_that_of_the_dense_equations(views_a_frame, narrow, monkeypatch)
     step, points = solve_step(problem, state, noise, damping, shared_frames(problem))
     np.testing.assert_allclose(step.ravel(), expected[:size], rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(points.ravel(), expected[size:], rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("views_a_frame", [1, 2])
+def test_slopes_are_those_of_projected_points(views_a_frame):
+    problem, state = street(6, 5, 2, views_a_frame)
+    # Without normals, residuals are the two coordinates of pixels.
+    measured = replace(problem.measured, normals=np.zeros_like(problem.measured.normals))
+    problem = replace(problem, measured=measured)
+    slopes = numeric_jacobian(problem, state)[:, : 6 * problem.num_frames]
+    frames = np.repeat(problem.frames[measured.views], 2)
+    found = ba.mean_squared_slopes(problem, state)
+    for frame in range(problem.num_frames):
+        own = slopes[frames == frame, 6 * frame : 6 * frame + 6]
+        expected = own.T @ own / (len(own) / 2)
+        np.testing.assert_allclose(found[frame], expected, rtol=1e-5, atol=1e-2)
+
+
+def test_a_frame_without_points_has_no_slopes():
+    problem, state = street(6, 5, 2)
+    keep = ~np.isin(problem.measured.views, [0])
+    measured = ba.Measurements(
+        offsets=np.searchsorted(problem.measured.owners[keep], np.arange(len(problem.kinds) + 1)),
+        views=problem.measured.views[keep],
+        pixels=problem.measured.pixels[keep],
+        normals=problem.measured.normals[keep],
+    )
+    found = ba.mean_squared_slopes(replace(problem, measured=measured), state)
+    assert not found[0].any()
+    assert np.isfinite(found).all()
 
 
 def test_frames_that_share_points():
