@@ -23,7 +23,6 @@ from colmap_edges.poses.problem import (
 )
 from colmap_edges.poses.systems import Prior, shared_frames, solve_poses
 
-
 ANY_WAY = 0.01  # share of the initial poses' information that holds them in every direction
 
 
