@@ -37,7 +37,7 @@ class EdgeReconstruction:
             they are not edges and not in `reconstruction`.
         point3D_ids: (N,) ids of the edge points in `reconstruction`; points of one node share one.
         reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; poses and
-            SfM points are unchanged unless `refine_poses` is set.
+            SfM points are refined ones if left-out points fit these better.
         residuals_px: (T,) reprojection error of each observation, pixels.
         background: background rays for `mesh`, of a plain backdrop, of the sky or, with
             `masks_are_background`, of masked pixels; None without a background.

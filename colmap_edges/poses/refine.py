@@ -30,20 +30,20 @@ def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem,
     return smaller, replace(state, points=state.points[chosen])
 
 
-def held_out_costs(
+def held_out_gains(
     problem: Problem, start: State, options: BundleAdjustmentOptions, num_threads: int
 ) -> FloatArray:
-    """Costs of each fold of the points, with the initial poses and with those of the other folds.
+    """By how much poses adjusted on the other folds of the points lower the cost of each fold.
 
     All points of a 3D edge are in one fold. Refined poses lower the cost of held-out points only if
     the initial poses were wrong; fitting noise raises it.
 
     Returns:
-        (K, 2) the costs of the K folds before and after.
+        The relative decreases of the first folds, as many as determine the median of all.
     """
     folds = np.unique(problem.groups, return_inverse=True)[1] % options.num_folds
 
-    def costs_of(fold: int) -> tuple[float, float]:
+    def gain_of(fold: int) -> float:
         moved = adjust(*part_of(problem, start, folds != fold), options)
         held_out, before = part_of(problem, start, folds == fold)
         noise = Noise.of(held_out, before, options)
@@ -52,10 +52,14 @@ def held_out_costs(
             minimize(held_out, state, noise, options.max_steps, move_poses=False)[1]
             for state in (before, after)
         )
-        return cost, refined_cost
+        return 1 - refined_cost / max(cost, 1e-300)
 
+    majority = options.num_folds // 2 + 1
     with ThreadPoolExecutor(min(num_threads, options.num_folds)) as pool:
-        return np.array(list(pool.map(costs_of, range(options.num_folds))))
+        gains = list(pool.map(gain_of, range(majority)))
+        if 0 < np.count_nonzero(np.array(gains) >= options.min_gain) < majority:
+            gains += pool.map(gain_of, range(majority, options.num_folds))
+    return np.array(gains)
 
 
 def refine_poses(
@@ -94,8 +98,7 @@ def refine_poses(
         part_of(problem, start, enough_points(problem, count, random_seed))
         for count in (options.tested_observations, options.adjusted_observations)
     )
-    before, after = held_out_costs(*tested, options, num_threads).T
-    stats["held_out_gain"] = float(np.median(1 - after / np.maximum(before, 1e-300)))
+    stats["held_out_gain"] = float(np.median(held_out_gains(*tested, options, num_threads)))
     if stats["held_out_gain"] < options.min_gain:
         return model, stats
     state = adjust(*used, options)
