@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model
+from colmap_edges.colmap.thinning import thinned
 from colmap_edges.colmap.writing import moved_model
 from colmap_edges.core.arrays import BoolArray, FloatArray, ranks_of
 from colmap_edges.core.edges3d import Edges3D
@@ -84,15 +85,16 @@ def refine_poses(
     Returns:
         The model with refined poses and SfM points, or `model` itself, and counts.
     """
-    problem, start = make_problem(model, edges)
+    few_points = thinned(model, random_seed, options.adjusted_observations)
+    problem, start = make_problem(few_points, edges)
     stats: dict[str, Any] = {
         "frames": problem.num_frames,
         "sfm_points": np.count_nonzero(problem.kinds == SFM),
         "edge_points": np.count_nonzero(problem.kinds == EDGE),
         "refined": False,
     }
-    few = problem.num_residuals < 6 * problem.num_frames + 3 * len(problem.kinds)
-    if few or len(np.unique(problem.groups)) < options.num_folds:
+    unknowns = 6 * problem.num_frames + 3 * len(problem.kinds)
+    if problem.num_residuals < unknowns or len(np.unique(problem.groups)) < options.num_folds:
         return model, stats  # too few measurements
     tested, used = (
         part_of(problem, start, enough_points(problem, count, random_seed))
@@ -110,11 +112,17 @@ def refine_poses(
         "median_turn_deg": np.degrees(np.median(np.linalg.norm(state.moved[:, :3], axis=1))),
         "median_shift": np.median(np.linalg.norm(state.moved[:, 3:], axis=1)),
     }
-    moved = replace(state, points=start.points)
-    points, at = part_of(problem, moved, problem.kinds == SFM)
-    noise = Noise.of(points, at, options)
-    at, _ = minimize(points, at, noise, options.max_steps, move_poses=False)
-    return adjusted_model(model, points, at), stats
+    return adjusted_model(model, *with_all_points(model, state, options)), stats
+
+
+def with_all_points(
+    model: Model, state: State, options: BundleAdjustmentOptions
+) -> tuple[Problem, State]:
+    """The problem of all SfM points, and these adjusted to the poses of `state`."""
+    problem, start = make_problem(model, Edges3D.none())
+    at = replace(state, points=start.points)
+    noise = Noise.of(problem, at, options)
+    return problem, minimize(problem, at, noise, options.max_steps, move_poses=False)[0]
 
 
 def enough_points(problem: Problem, num_observations: int, random_seed: int) -> BoolArray:
