@@ -96,15 +96,15 @@ def refine_poses(
     unknowns = 6 * problem.num_frames + 3 * len(problem.kinds)
     if problem.num_residuals < unknowns or len(np.unique(problem.groups)) < options.num_folds:
         return model, stats  # too few measurements
-    tested, used = (
-        part_of(problem, start, enough_points(problem, count, random_seed))
-        for count in (options.tested_observations, options.adjusted_observations)
-    )
+    chosen = enough_points(problem, options.tested_observations, random_seed)
+    tested = part_of(problem, start, chosen)
     stats["held_out_gain"] = float(np.median(held_out_gains(*tested, options, num_threads)))
     if stats["held_out_gain"] < options.min_gain:
         return model, stats
-    state = adjust(*used, options)
-    sigmas = estimate_sigmas(used[0], state)
+    chosen = enough_points(problem, options.adjusted_observations, random_seed)
+    used, start = part_of(problem, start, chosen)
+    state = adjust(used, start, options)
+    sigmas = estimate_sigmas(used, state)
     stats |= {
         "refined": True,
         "sfm_sigma_px": sigmas[SFM],
