@@ -25,7 +25,7 @@ from colmap_edges.evaluation.metrics import poses as pose_metrics
 from colmap_edges.evaluation.scenes import Scene, model_scene
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
-from colmap_edges.pipeline.trace import edge_stages
+from colmap_edges.pipeline.trace import trace_stage
 from colmap_edges.runtime.stages import Stages
 
 
@@ -234,7 +234,7 @@ def poses(
 def adjustments(
     start: Any, scale: float, graphs: Any, options: PipelineOptions
 ) -> list[tuple[Any, ...]]:
-    """Models by each adjustment, with the edge points before and after, and the held-out gain."""
+    """Models by each adjustment, with the edge points, and the held-out gain."""
     rows: list[tuple[Any, ...]] = [("start", start, "", "")]
     for name, robust in (("SfM points (COLMAP)", False), ("SfM points (COLMAP, Cauchy)", True)):
         adjusted = pycolmap.Reconstruction(start)
@@ -242,9 +242,9 @@ def adjustments(
         rows.append((name, adjusted, "", ""))
     stages = Stages()
     model = model_from_reconstruction(start).at_scale(scale)
-    refined, _ = edge_stages(model, graphs, resolved(options, scale), stages)
-    traced, refining, *again = [stage["counts"] for stage in stages.records()]
-    counts = " -> ".join(str(c["edge_points"]) for c in (traced, *again))
+    refined, _ = trace_stage(model, graphs, resolved(options, scale), stages)
+    (traced,) = [stage["counts"] for stage in stages.records()]
+    counts, refining = str(traced["edge_points"]), traced["details"]["poses"]
     gain = f"{refining['held_out_gain']:+.1%}" if "held_out_gain" in refining else ""
     rows.append(("SfM and edge points", refined.reconstruction, counts, gain))
     return rows

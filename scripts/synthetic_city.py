@@ -320,7 +320,7 @@ def reconstruct_city(city: City, folder: Path, options: PipelineOptions) -> Stag
     with stages.stage("make edge graphs") as stage:
         graphs, num_pixels = make_graphs(city, model, options)
         stage.counts = {"edge_pixels": num_pixels}
-    edges = trace_stage(model, Detection(graphs=graphs), options, stages).edges
+    edges = trace_stage(model, Detection(graphs=graphs), options, stages)[1].edges
     with stages.stage("write") as stage:
         write_results(model, edges, folder)
     return stages
@@ -352,7 +352,7 @@ def parse_options(flags: list[str]) -> PipelineOptions:
     """Options from the flags of `colmap-edges reconstruct`."""
     command = click.Command(
         "reconstruct",
-        params=[*make_flags(names_of_stages("detect", "trace", "refine", "write"))],
+        params=[*make_flags(names_of_stages("detect", "trace", "write"))],
         context_settings={"token_normalize_func": normalize},
     )
     return options_from_flags(command.make_context("reconstruct", flags).params)

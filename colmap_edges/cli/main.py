@@ -107,12 +107,12 @@ for command in (
     make_run_command(
         "reconstruct",
         "Reconstruct 3D edges and write them into the COLMAP model.",
-        *("detect", "trace", "refine", "write"),
+        *("detect", "trace", "write"),
     ),
     make_run_command(
         "mesh",
         "Reconstruct 3D edges, write them, and mesh points and edges.",
-        *("detect", "trace", "refine", "write", "mesh"),
+        *("detect", "trace", "write", "mesh"),
     ),
     *(info, evaluate, export, align),
 ):

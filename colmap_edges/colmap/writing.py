@@ -40,9 +40,12 @@ def moved_model(model: Model, motions: FloatArray, points3D_xyz: FloatArray) -> 
 
     Args:
         model: the model to start from; it is not changed.
-        motions: (F, 3, 4) rigid motion applied before each frame's pose, frames by ascending id.
+        motions: (F, 3, 4) rigid motion applied before each frame's pose, frames by ascending id;
+            (0, 3, 4) for no change at all.
         points3D_xyz: (N, 3) the new points.
     """
+    if not len(motions):
+        return model
     moved = pycolmap.Reconstruction(model.reconstruction)
     motion_of = dict(zip(np.unique(frames_of_views(model)).tolist(), motions, strict=True))
     frame_of = {image.name: image.frame_id for image in moved.images.values()}

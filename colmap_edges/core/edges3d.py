@@ -339,11 +339,16 @@ class TracedEdges:
         contours: view-dependent contours, which move over a surface from view to view, as
             silhouettes and reflections do. They are used for meshing, never written as edges.
         outlines: points at which viewing rays touch smooth bodies; they are used for meshing.
+        motions: (F, 3, 4) rigid motion before each frame's pose, frames by ascending id, if poses
+            were refined on edges; else (0, 3, 4).
+        points3D_xyz: (N, 3) the SfM points, if poses were refined; else (0, 3).
     """
 
     edges: Edges3D
     contours: Edges3D
     outlines: Outlines = NO_OUTLINES
+    motions: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 4)))
+    points3D_xyz: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def mean_colors(values: FloatArray, offsets: IntArray) -> ByteArray:

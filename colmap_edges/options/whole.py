@@ -45,7 +45,7 @@ class PipelineOptions(Options):
     following: FollowingOptions = group(FollowingOptions, "trace")
     visibility: VisibilityOptions = group(VisibilityOptions, "trace")
     sampling: SamplingOptions = group(SamplingOptions, "trace")
-    bundle_adjustment: BundleAdjustmentOptions = group(BundleAdjustmentOptions, "refine")
+    bundle_adjustment: BundleAdjustmentOptions = group(BundleAdjustmentOptions, "trace")
     meshing: MeshingOptions = group(MeshingOptions, "mesh")
     dense: DenseOptions = group(DenseOptions, "mesh")
     use_edges: bool = option(True, "Mesh points and edges; 0 meshes points only", stage="mesh")
@@ -83,7 +83,7 @@ class PipelineOptions(Options):
     refine_poses: bool = option(
         True,
         "Refine the poses on SfM points and edges, if held-out points fit better for it",
-        stage="refine",
+        stage="trace",
     )
     masks_are_background: bool = option(
         False, "Treat masked pixels as background: their rays are free space", stage="mesh"

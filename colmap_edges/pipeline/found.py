@@ -24,7 +24,7 @@ from colmap_edges.pipeline.mesh import (
 )
 from colmap_edges.pipeline.patches import patch_stage
 from colmap_edges.pipeline.paths import Paths, image_folder
-from colmap_edges.pipeline.trace import edge_stages
+from colmap_edges.pipeline.trace import trace_stage
 from colmap_edges.report.contents import ImagePicture
 from colmap_edges.report.pictures import PictureVisitor
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
@@ -99,7 +99,7 @@ def find_edges(
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)
     given = model
-    model, traced = edge_stages(model, detection, settings, stages, workers)
+    model, traced = trace_stage(model, detection, settings, stages, workers)
     outlines = find_outlines(model.views, detection.graphs, traced.edges) if grids else None
     detection.graphs.release()
     if model is not given:

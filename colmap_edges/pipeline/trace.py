@@ -1,4 +1,4 @@
-"""The tracing stage, and the optional refinement of poses on the traced edges."""
+"""The tracing stage."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
+from colmap_edges.colmap.writing import moved_model
 from colmap_edges.core.arrays import FloatArray, flattened, unflattened
 from colmap_edges.core.edges3d import Edges3D, Nodes, TracedEdges
 from colmap_edges.core.view import View, track_residuals
@@ -23,62 +24,28 @@ from colmap_edges.runtime.executors import Workers, open_workers, thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
 
 
-def edge_stages(
+def trace_stage(
     model: Model,
     detection: Detection,
     options: PipelineOptions,
     stages: Stages,
     workers: Workers | None = None,
 ) -> tuple[Model, TracedEdges]:
-    """Trace 3D edges; with `refine_poses`, refine the poses on them, and if they move trace again.
+    """Trace 3D edges from the 2D edge graphs, or load them from the cache.
 
     Returns:
-        The (refined) model, and the edges with the view-dependent contours.
+        The model, with refined poses if held-out points fit better to these, and the edges with the
+        view-dependent contours.
     """
-    traced = trace_stage(model, detection, options, stages, workers=workers)
-    if not options.refine_poses:
-        return model, traced
-    refined = refine_stage(model, traced.edges, options, stages)
-    if refined is not model:
-        traced = trace_stage(refined, detection, options, stages, "trace again", workers)
-    return refined, traced
-
-
-def refine_stage(
-    model: Model,
-    edges: Edges3D,
-    options: PipelineOptions,
-    stages: Stages,
-) -> Model:
-    """Refine the poses on SfM points and edges; returns the model itself without improvement."""
-    from colmap_edges.poses.refine import refine_poses
-
-    with stages.stage("refine poses") as stage:
-        refined, stats = refine_poses(
-            model, edges, options.bundle_adjustment, thread_count(options), options.random_seed
-        )
-        stage.counts = plain_counts(stats)
-    return refined
-
-
-def trace_stage(
-    model: Model,
-    detection: Detection,
-    options: PipelineOptions,
-    stages: Stages,
-    name: str = "trace",
-    workers: Workers | None = None,
-) -> TracedEdges:
-    """Trace 3D edges from the 2D edge graphs, or load them from the cache."""
     if workers is None:
         with open_workers(options) as workers:
-            return trace_stage(model, detection, options, stages, name, workers)
+            return trace_stage(model, detection, options, stages, workers)
     cache = workers.cache if detection.keys else None
     key = key_of_edges(model, detection.keys, options) if cache else ""
     passes = 2 * len(model.views) * options.tracing.num_rounds
     steps = 1 if options.tracing.method == "paper" else passes
-    with stages.stage(name, steps) as stage:
-        read = partial(traced_from, views=model.views, options=options)
+    with stages.stage("trace", steps) as stage:
+        read = partial(traced_from, model=model, options=options)
         kept = cache.load("edges", key, read) if cache else None
         if kept is None:
             traced, stats = trace(model, detection.graphs, options, stage.advance, workers)
@@ -93,11 +60,11 @@ def trace_stage(
         if cache:
             stage.counts["edges_reused"] = edges.num_edges if kept is not None else 0
         stage.counts["details"] = details
-    return traced
+        return moved_model(model, traced.motions, traced.points3D_xyz), traced
 
 
 def traced_from(
-    arrays: Arrays, views: Sequence[View], options: PipelineOptions
+    arrays: Arrays, model: Model, options: PipelineOptions
 ) -> tuple[TracedEdges, dict[str, Any]]:
     """The traced edges and their counts in a cache entry.
 
@@ -106,6 +73,7 @@ def traced_from(
             do not project to where they are observed.
     """
     traced = unflattened(TracedEdges, arrays)
+    views = moved_model(model, traced.motions, traced.points3D_xyz).views
     # In results, the largest median residual is 1.1 times the limit of observations.
     limit_px = 3 * max(options.refinement.max_residual_px, options.following.max_error_px)
     for edges in (traced.edges, traced.contours):
@@ -142,11 +110,10 @@ def trace(
 ) -> tuple[TracedEdges, dict[str, Any]]:
     """Trace 3D edges by the method chosen in the options."""
     threads = thread_count(options)
-    model = thinned(model, options.random_seed)
     if options.tracing.method == "paper":
         from colmap_edges.edges3d.paper.tracing import trace_edges_paper
 
-        return trace_edges_paper(model, graphs, options, threads)
+        return trace_edges_paper(thinned(model, options.random_seed), graphs, options, threads)
     from colmap_edges.edges3d.chains.tracing import trace_edges
 
     return trace_edges(model, graphs, options, threads, advance, workers)

@@ -54,8 +54,7 @@ def counts_by_stage(stages: Sequence[Mapping[str, Any]]) -> dict[str, Counts]:
     found: dict[str, Counts] = {}
     for stage in stages:
         counts = stage["counts"]
-        name = "trace" if stage["name"] == "trace again" else stage["name"]
-        found[name] = {**counts, **counts.get("details", {})}
+        found[stage["name"]] = {**counts, **counts.get("details", {})}
     return found
 
 

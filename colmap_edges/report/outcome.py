@@ -60,7 +60,7 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
             f"{counted(detect['edge_pixels'], 'pixel')}"
         )
     texts["Points"] = counted(read["points3D"], "SfM point")
-    if "held_out_gain" in (poses := counts.get("refine poses", {})):
+    if "held_out_gain" in (poses := counts.get("trace", {}).get("poses", {})):
         texts["Poses"] = poses_text(poses)
     if write is not None:
         points = counted(write["edge_points"], "edge point")
@@ -95,8 +95,8 @@ def images_text(read: Mapping[str, Any], detect: Mapping[str, Any]) -> str:
 def poses_text(poses: Mapping[str, Any]) -> str:
     """Whether poses were refined, and what held-out points say."""
     if poses["refined"]:
-        return f"refined on edges: points left out of it fit {poses['held_out_gain']:.0%} better"
-    return "kept as they are: refining them on edges does not make points left out of it fit better"
+        return f"refined on edges: held-out points fit {poses['held_out_gain']:.0%} better"
+    return "kept: held-out points do not fit better to poses that are refined on edges"
 
 
 def edges_text(write: Mapping[str, Any], unit: str) -> str:

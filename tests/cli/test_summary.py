@@ -43,18 +43,17 @@ def test_six_lines_in_a_users_words(output):
     [
         (
             {"refined": True, "held_out_gain": 0.381},
-            "Poses:    refined on edges: points left out of it fit 38% better",
+            "Poses:    refined on edges: held-out points fit 38% better",
         ),
         (
             {"refined": False, "held_out_gain": -0.02},
-            "Poses:    kept as they are: refining them on edges does not make points left out of "
-            "it fit better",
+            "Poses:    kept: held-out points do not fit better to poses that are refined on edges",
         ),
         ({"refined": False}, None),
     ],
 )
 def test_what_became_of_the_poses(output, counts, line):
-    lines = summary(report_of([*STAGES, ("refine poses", counts)]), output, 1.0, verbose=False)
+    lines = summary(report_of([*STAGES, ("trace", {"details": {"poses": counts}})]), output, 1.0, verbose=False)
     assert [text for text in lines if text.startswith("Poses")] == ([line] if line else [])
 
 

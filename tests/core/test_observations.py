@@ -14,7 +14,7 @@ from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.edge_index import at_positions
 from colmap_edges.options import PipelineOptions, TracingOptions
 from colmap_edges.pipeline.detect import detect_stage
-from colmap_edges.pipeline.trace import edge_stages
+from colmap_edges.pipeline.trace import trace_stage
 from colmap_edges.runtime.stages import Stages
 
 
@@ -117,7 +117,7 @@ def followed(request, tmp_path_factory):
     model = model_from_reconstruction(scene.reconstruction)
     options = PipelineOptions(tracing=TracingOptions(method=request.param), num_threads=2)
     detection = detect_stage(model, images, options, Stages())
-    edges = edge_stages(model, detection, options, Stages())[1].edges
+    edges = trace_stage(model, detection, options, Stages())[1].edges
     folder = tmp_path_factory.mktemp("written")
     ids = write_model(model, edges, folder)
     return model, detection, edges, load_model(folder), ids

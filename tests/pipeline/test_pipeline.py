@@ -323,7 +323,7 @@ def test_mesh_writes_every_file(meshed, scene_model):
     names = {"edges.json", "edges.ply", "faces.json", "mesh.ply", "sparse"}
     names |= {"report.html", "report.json"}
     assert {path.name for path in output.iterdir()} == names
-    stages = ["read", "detect", "trace", "refine poses", "curves", "background", "round_faces"]
+    stages = ["read", "detect", "trace", "curves", "background", "round_faces"]
     stages += ["faces", "patches", "write", "mesh", "report"]
     assert [stage["name"] for stage in report["stages"]] == stages
     edge_points = report["stages"][stages.index("write")]["counts"]["edge_points"]
@@ -419,7 +419,7 @@ def test_reconstruct_takes_and_returns_pycolmap_objects(meshed, scene, scene_mod
     np.testing.assert_allclose(written.points3D_xyz[count:], distinct.points, rtol=1e-14)
     np.testing.assert_array_equal(distinct.points[places], result.edges.points)
     assert np.median(result.residuals_px) < 0.5
-    names = ["read", "detect", "trace", "refine poses", "curves", "background", "round_faces"]
+    names = ["read", "detect", "trace", "curves", "background", "round_faces"]
     names += ["faces", "patches"]
     assert [stage["name"] for stage in result.stages] == names
     assert result.curves.num_curves >= result.edges.num_edges

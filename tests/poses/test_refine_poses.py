@@ -23,9 +23,9 @@ from colmap_edges.options import BundleAdjustmentOptions, PipelineOptions, Traci
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
-from colmap_edges.pipeline.trace import edge_stages, refine_stage, trace_stage
+from colmap_edges.pipeline.trace import trace_stage
 from colmap_edges.poses import problem as ba
-from colmap_edges.poses.refine import adjusted_model, enough_points, part_of, refine_poses
+from colmap_edges.poses.refine import enough_points, motions_and_points, part_of, refine_poses
 from colmap_edges.poses.solver import adjust
 from colmap_edges.runtime.stages import Stages
 
@@ -89,7 +89,7 @@ def solve(model, edges, kind=None):
     if kind is not None:
         problem, start = part_of(problem, start, problem.kinds == kind)
     state = adjust(problem, start, OPTIONS)
-    return adjusted_model(model, problem, state), problem, state
+    return moved_model(model, *motions_and_points(model, problem, state)), problem, state
 
 
 @pytest.fixture(scope="module")
@@ -175,13 +175,14 @@ def test_outliers_do_no_harm(noisy):
 
 def test_good_poses_are_kept_and_bad_ones_refined(noisy):
     model, edges = noisy
-    same, stats = refine_poses(model, edges, OPTIONS, num_threads=2)
-    assert same is model
+    motions, points, stats = refine_poses(model, edges, OPTIONS, num_threads=2)
+    assert moved_model(model, motions, points) is model
     assert not stats["refined"]
     truth = truth_of(model)
     start, moved = off(model, edges, turn=5e-4, shift=2e-3)
     before = [view.rotation.copy() for view in start.views]
-    refined, stats = refine_poses(start, moved, OPTIONS)
+    motions, points, stats = refine_poses(start, moved, OPTIONS)
+    refined = moved_model(start, motions, points)
     assert stats["refined"]
     assert stats["sfm_sigma_px"] == pytest.approx(0.2, rel=0.25)
     assert stats["edge_sigma_px"] == pytest.approx(0.3, rel=0.35)
@@ -252,8 +253,8 @@ def test_too_little_to_know_is_left_alone(scene_model):
         track_views=scene_model.track_views[: scene_model.track_offsets[5]],
         track_points2D=scene_model.track_points2D[: scene_model.track_offsets[5]],
     )
-    refined, stats = refine_poses(few, Edges3D.none(), OPTIONS)
-    assert refined is few
+    motions, points, stats = refine_poses(few, Edges3D.none(), OPTIONS)
+    assert len(motions) == len(points) == 0
     assert not stats["refined"]
 
 
@@ -265,7 +266,7 @@ def test_run_writes_refined_poses_and_leaves_the_input(scene, scene_paths, tmp_p
     before = hash_folder(off_folder)
     paths = Paths(image_path=scene_paths[0], input_path=off_folder, output_path=tmp_path / "out")
     report = run("reconstruct", paths, PipelineOptions(refine_poses=True, num_threads=1))
-    names = ["read", "detect", "trace", "refine poses", "trace again", "curves", "write", "report"]
+    names = ["read", "detect", "trace", "curves", "write", "report"]
     assert [stage["name"] for stage in report["stages"]] == names
     assert hash_folder(off_folder) == before
     truth = truth_of(model_from_reconstruction(scene.reconstruction))
@@ -297,9 +298,7 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
     for seed in range(3):
         start = with_pose_noise(true, 0.2, seed)
         model = model_from_reconstruction(start)
-        # As `edge_stages` does, which then traces again.
-        edges = trace_stage(model, graphs, options, Stages()).edges
-        refined = refine_stage(model, edges, options, Stages())
+        refined, _ = trace_stage(model, graphs, options, Stages())
         before, after = pose_errors(start, truth), pose_errors(refined.reconstruction, truth)
         assert max(np.divide(after, before)) < 0.8
         remaining.append(after)
@@ -312,5 +311,5 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
 def test_true_poses_are_kept(demo_part):
     _, true, graphs, options = demo_part
     model = model_from_reconstruction(true)
-    refined, _ = edge_stages(model, graphs, options, Stages())
+    refined, _ = trace_stage(model, graphs, options, Stages())
     assert refined is model

@@ -2,25 +2,28 @@
 
 Each view in turn is the reference view. Stretches of chains in other views that observe its curves
 are marked, so that each edge is traced once, in the view that sees it best (paper: 3D edge
-reconstruction).
+reconstruction). The edges of the first round tell whether poses can be refined on them; if so, its
+depths are traced again with the refined poses, and later rounds use them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import BoolArray, Int32Array, IntArray
-from colmap_edges.core.edges3d import TracedEdges
+from colmap_edges.colmap.thinning import thinned
+from colmap_edges.colmap.writing import moved_model
+from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array
+from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import View, lift
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.a_contrario import chance_of_observations
-from colmap_edges.edges3d.chains.assembly import link, merged_pieces
+from colmap_edges.edges3d.chains.assembly import link, make_edges, merged_pieces, with_look_up
 from colmap_edges.edges3d.chains.coverage import (
     in_whole_graphs,
     mark_covered,
@@ -47,7 +50,8 @@ from colmap_edges.edges3d.chains.refinement import refine_curves, with_reference
 from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import TracingInput, make_input
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
-from colmap_edges.options import ChainDepthOptions, PipelineOptions, of_later_rounds
+from colmap_edges.options import PipelineOptions, of_later_rounds
+from colmap_edges.poses.refine import refine_poses
 from colmap_edges.runtime.executors import Call, Workers, local_workers, run_all, run_scheduled
 from colmap_edges.runtime.scheduling import Schedule, local_order
 
@@ -76,18 +80,24 @@ def trace_edges(
     if workers is None:
         with local_workers(num_threads) as workers:
             return trace_edges(model, graphs, options, num_threads, advance, workers)
-    near = select_views(model, options.view_selection)
-    whole = with_side_likelihoods(make_input(model, graphs, near), near, options, num_threads)
-    given = (model, whole, near, options, num_threads, advance, workers)
-    pieces, outlines, stats = trace_pieces(*given)
+    few = thinned(model, options.random_seed)
+    near = select_views(few, options.view_selection)
+    whole = with_side_likelihoods(make_input(few, graphs, near), near, options, num_threads)
+    given = (options, num_threads, advance, workers)
+    first = first_round(model, few, whole, near, *given)
+    few, whole = first.model, first.whole
+    pieces, outlines, stats = trace_pieces(first, near, *given)
+    del first  # its tables
     graphs.trim()
     result, linked = link(whole, pieces, options, num_threads)
-    seen = seen_outlines(outlines, result.edges, model, near.observing_views, options, num_threads)
-    result = replace(result, outlines=seen)
+    seen = seen_outlines(outlines, result.edges, few, near.observing_views, options, num_threads)
     about = {
         "views": len(model.views),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
     }
+    result = replace(
+        result, outlines=seen, motions=pieces.motions, points3D_xyz=pieces.points3D_xyz
+    )
     return result, about | stats | linked
 
 
@@ -101,9 +111,73 @@ def with_side_likelihoods(
     return replace(given, sides=learned)
 
 
-def trace_pieces(
+@dataclass(frozen=True, kw_only=True)
+class FirstRound:
+    """The curves of the first round, at refined poses if these were accepted.
+
+    Attributes:
+        model: the SfM points that tracing uses.
+        whole: the views with their whole edge graphs.
+        traced: the curves of every reference view that has any.
+        kept: those that are kept.
+        motions: (F, 3, 4) motions of the frames, as in `TracedEdges`.
+        points3D_xyz: (N, 3) all SfM points, as in `TracedEdges`.
+        stats: counts.
+    """
+
+    model: Model
+    whole: TracingInput
+    traced: list[TracedCurves]
+    kept: FilteredCurves
+    motions: FloatArray
+    points3D_xyz: FloatArray
+    stats: dict[str, Any]
+
+
+def first_round(
     model: Model,
+    few: Model,
     whole: TracingInput,
+    near: Neighborhood,
+    options: PipelineOptions,
+    num_threads: int,
+    advance: Callable[[], None],
+    workers: Workers,
+) -> FirstRound:
+    """Trace curves, refine poses on them, and trace the same depths again if poses move."""
+    found = find_depths(whole, near, options, workers, advance)
+    motions, points = np.zeros((0, 3, 4)), np.zeros((0, 3))
+    poses: dict[str, Any] = {}
+    while True:
+        traced, in_runs = trace_views(whole, *found, options, None, workers, advance)
+        # Made again at the end in a hundredth of a round's time, they take half of its memory.
+        whole.indexes.clear()
+        whole.graphs.trim()
+        kept, _ = filter_curves(few, traced, options.tracing, num_threads)
+        if poses or not options.refine_poses:
+            break
+        edges = with_look_up(whole, make_edges(kept.edges), Edges3D.none()).edges
+        motions, points, poses = refine_poses(
+            model, edges, options.bundle_adjustment, num_threads, options.random_seed
+        )
+        if not len(motions):
+            break
+        few = thinned(moved_model(model, motions, points), options.random_seed)
+        whole = replace(whole, views=few.views)
+        whole.indexes.clear()
+    return FirstRound(
+        model=few,
+        whole=whole,
+        traced=traced,
+        kept=kept,
+        motions=motions,
+        points3D_xyz=points,
+        stats=count_samples(*found, in_runs) | {"poses": poses},
+    )
+
+
+def trace_pieces(
+    first: FirstRound,
     near: Neighborhood,
     options: PipelineOptions,
     num_threads: int,
@@ -114,19 +188,20 @@ def trace_pieces(
 
     Tables are released on return.
     """
-    kept, stats = trace_rounds(model, whole, near, options, num_threads, advance, workers)
+    whole = first.whole
+    kept, stats = later_rounds(first, near, options, num_threads, advance, workers)
     rest = replace(what_remains(whole, kept, options.tracing), neighbors=near.later_neighbors)
     outlines = find_envelopes(rest, near, options.chain_depth, workers)
     kept, repeated = without_repeats(whole, kept, options.tracing)
     whole.graphs.trim()
     pieces, merged = merged_pieces(whole, kept, options, num_threads)
+    pieces = replace(pieces, motions=first.motions, points3D_xyz=first.points3D_xyz)
     counts = {"points_of_outlines": len(outlines.points)}
     return pieces, outlines, stats | counts | repeated | merged
 
 
-def trace_rounds(
-    model: Model,
-    whole: TracingInput,
+def later_rounds(
+    first: FirstRound,
     near: Neighborhood,
     options: PipelineOptions,
     num_threads: int,
@@ -134,68 +209,47 @@ def trace_rounds(
     workers: Workers,
 ) -> tuple[FilteredCurves, dict[str, Any]]:
     """The filtered curves of all rounds, and counts; intermediate data are released on return."""
-    traced, stats = trace_round(whole, near, options, None, workers, advance)
-    # Made again at the end in a hundredth of a round's time, they take half of its memory.
-    whole.indexes.clear()
-    whole.graphs.trim()
-    kept, filter_stats = filter_curves(model, traced, options.tracing, num_threads)
-    whole = replace(whole, neighbors=near.later_neighbors)
+    traced, kept, stats = first.traced, first.kept, first.stats
+    whole = replace(first.whole, neighbors=near.later_neighbors)
+    # Limits come from the first round, whose curves are the most reliable.
+    limits = kept.limits if traced else None
     later = of_later_rounds(options)
     for _ in range(1, options.tracing.num_rounds):
         rest = what_remains(whole, kept, options.tracing)
-        # Limits come from the first round, whose curves are the most reliable.
-        limits = kept.limits if traced else None
-        found, more = trace_round(rest, near, later, limits, workers, advance)
-        traced += in_whole_graphs(rest, found)
-        stats = {name: stats[name] + more[name] for name in stats}
-        kept, filter_stats = filter_curves(model, traced, options.tracing, num_threads, limits)
-    return kept, stats | filter_stats
-
-
-def trace_round(
-    given: TracingInput,
-    near: Neighborhood,
-    options: PipelineOptions,
-    limits: Limits | None,
-    workers: Workers,
-    advance: Callable[[], None],
-) -> tuple[list[TracedCurves], dict[str, int]]:
-    """Trace curves with every view as the reference view, the best first; also counts samples.
-
-    `limits` are those of edges, if known from an earlier round.
-    """
-    order = local_order([given.neighbors[view] for view in range(len(given.views))])
-    given.graphs.trim()
-    depths = find_depths(given, near, order, options.chain_depth, workers, advance)
-    agreeing = {
-        view: count_agreeing_views(given, depths, view, options.tracing.max_inconsistency_px)
-        for view in order.tolist()
-    }
-    counts = [agreeing[view] for view in range(len(order))]
-    depths = [without_supports(found) for found in depths]
-    given.graphs.put_aside()  # from here on each is needed once or twice, the indexes often
-    traced, in_runs = trace_views(given, depths, counts, options, limits, workers, advance)
-    return traced, count_samples(depths, counts, in_runs)
+        found = find_depths(rest, near, later, workers, advance)
+        more, in_runs = trace_views(rest, *found, later, limits, workers, advance)
+        traced += in_whole_graphs(rest, more)
+        counts = count_samples(*found, in_runs)
+        stats |= {name: stats[name] + count for name, count in counts.items()}
+        kept, _ = filter_curves(first.model, traced, options.tracing, num_threads, limits)
+    return kept, stats
 
 
 def find_depths(
     given: TracingInput,
     near: Neighborhood,
-    order: IntArray,
-    options: ChainDepthOptions,
+    options: PipelineOptions,
     workers: Workers,
     advance: Callable[[], None],
-) -> list[ChainDepths]:
-    """Depths along the chains of every view, computed in the given order."""
+) -> tuple[list[ChainDepths], list[Int32Array]]:
+    """Depths along the chains of every view, and (S,) numbers of views that agree with each."""
+    order = local_order([given.neighbors[view] for view in range(len(given.views))])
+    given.graphs.trim()
 
     def calls() -> Iterator[Call]:
         for view in order.tolist():
             part = given.part(view, given.neighbors[view], workers)
             depth_range, threads = near.ranges[view], workers.threads_per_view
-            yield compute_chain_depths, (part, view, depth_range, options, threads)
+            yield compute_chain_depths, (part, view, depth_range, options.chain_depth, threads)
 
     found = run_all(workers.views, calls(), advance, workers.check)
-    return [found[place] for place in np.argsort(order)]
+    depths = [found[place] for place in np.argsort(order)]
+    agreeing = {
+        view: count_agreeing_views(given, depths, view, options.tracing.max_inconsistency_px)
+        for view in order.tolist()
+    }
+    given.graphs.put_aside()  # from here on each is needed once or twice, the indexes often
+    return [without_supports(of) for of in depths], [agreeing[view] for view in range(len(order))]
 
 
 def trace_views(
