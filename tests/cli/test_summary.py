@@ -53,7 +53,9 @@ def test_six_lines_in_a_users_words(output):
     ],
 )
 def test_what_became_of_the_poses(output, counts, line):
-    lines = summary(report_of([*STAGES, ("trace", {"details": {"poses": counts}})]), output, 1.0, verbose=False)
+    lines = summary(
+        report_of([*STAGES, ("trace", {"details": {"poses": counts}})]), output, 1.0, verbose=False
+    )
     assert [text for text in lines if text.startswith("Poses")] == ([line] if line else [])
 
 

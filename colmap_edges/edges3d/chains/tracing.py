@@ -2,8 +2,8 @@
 
 Each view in turn is the reference view. Stretches of chains in other views that observe its curves
 are marked, so that each edge is traced once, in the view that sees it best (paper: 3D edge
-reconstruction). The edges of the first round tell whether poses can be refined on them; if so, its
-depths are traced again with the refined poses, and later rounds use them.
+reconstruction). Poses are refined on the edges; if they move, the rounds of tracing are repeated
+along the depths of the first.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
 from colmap_edges.colmap.writing import moved_model
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array
+from colmap_edges.core.arrays import BoolArray, Int32Array
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import View, lift
@@ -50,7 +50,7 @@ from colmap_edges.edges3d.chains.refinement import refine_curves, with_reference
 from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import TracingInput, make_input
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
-from colmap_edges.options import PipelineOptions, of_later_rounds
+from colmap_edges.options import BundleAdjustmentOptions, PipelineOptions, of_later_rounds
 from colmap_edges.poses.refine import refine_poses
 from colmap_edges.runtime.executors import Call, Workers, local_workers, run_all, run_scheduled
 from colmap_edges.runtime.scheduling import Schedule, local_order
@@ -83,11 +83,8 @@ def trace_edges(
     few = thinned(model, options.random_seed)
     near = select_views(few, options.view_selection)
     whole = with_side_likelihoods(make_input(few, graphs, near), near, options, num_threads)
-    given = (options, num_threads, advance, workers)
-    first = first_round(model, few, whole, near, *given)
-    few, whole = first.model, first.whole
-    pieces, outlines, stats = trace_pieces(first, near, *given)
-    del first  # its tables
+    given = (near, options, num_threads, advance, workers)
+    pieces, outlines, few, whole, stats = trace_pieces(model, few, whole, *given)
     graphs.trim()
     result, linked = link(whole, pieces, options, num_threads)
     seen = seen_outlines(outlines, result.edges, few, near.observing_views, options, num_threads)
@@ -111,30 +108,7 @@ def with_side_likelihoods(
     return replace(given, sides=learned)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FirstRound:
-    """The curves of the first round, at refined poses if these were accepted.
-
-    Attributes:
-        model: the SfM points that tracing uses.
-        whole: the views with their whole edge graphs.
-        traced: the curves of every reference view that has any.
-        kept: those that are kept.
-        motions: (F, 3, 4) motions of the frames, as in `TracedEdges`.
-        points3D_xyz: (N, 3) all SfM points, as in `TracedEdges`.
-        stats: counts.
-    """
-
-    model: Model
-    whole: TracingInput
-    traced: list[TracedCurves]
-    kept: FilteredCurves
-    motions: FloatArray
-    points3D_xyz: FloatArray
-    stats: dict[str, Any]
-
-
-def first_round(
+def trace_pieces(
     model: Model,
     few: Model,
     whole: TracingInput,
@@ -143,86 +117,102 @@ def first_round(
     num_threads: int,
     advance: Callable[[], None],
     workers: Workers,
-) -> FirstRound:
-    """Trace curves, refine poses on them, and trace the same depths again if poses move."""
-    found = find_depths(whole, near, options, workers, advance)
-    motions, points = np.zeros((0, 3, 4)), np.zeros((0, 3))
-    poses: dict[str, Any] = {}
-    while True:
-        traced, in_runs = trace_views(whole, *found, options, None, workers, advance)
-        # Made again at the end in a hundredth of a round's time, they take half of its memory.
-        whole.indexes.clear()
-        whole.graphs.trim()
-        kept, _ = filter_curves(few, traced, options.tracing, num_threads)
-        if poses or not options.refine_poses:
-            break
-        edges = with_look_up(whole, make_edges(kept.edges), Edges3D.none()).edges
-        motions, points, poses = refine_poses(
-            model, edges, options.bundle_adjustment, num_threads, options.random_seed
-        )
-        if not len(motions):
-            break
-        few = thinned(moved_model(model, motions, points), options.random_seed)
-        whole = replace(whole, views=few.views)
-        whole.indexes.clear()
-    return FirstRound(
-        model=few,
-        whole=whole,
-        traced=traced,
-        kept=kept,
-        motions=motions,
-        points3D_xyz=points,
-        stats=count_samples(*found, in_runs) | {"poses": poses},
-    )
+) -> tuple[TracedEdges, Envelopes, Model, TracingInput, dict[str, Any]]:
+    """The pieces of all rounds without duplicates, and the outlines of smooth bodies.
 
+    Poses are refined on the edges as soon as these are enough. If they move, the rounds are
+    repeated; the depths of the first one remain, since curves are refined along them. Tables are
+    released on return.
 
-def trace_pieces(
-    first: FirstRound,
-    near: Neighborhood,
-    options: PipelineOptions,
-    num_threads: int,
-    advance: Callable[[], None],
-    workers: Workers,
-) -> tuple[TracedEdges, Envelopes, dict[str, Any]]:
-    """The pieces of all rounds without duplicates, the outlines of smooth bodies, and counts.
+    Args:
+        model: the views and all SfM points, which are refined with the poses.
+        few: the same with the SfM points that tracing uses.
+        whole: the views with their whole edge graphs.
+        near: the selected views.
+        options: settings of every step.
+        num_threads: threads to use.
+        advance: called after the depths and after the edges of each view.
+        workers: executor of the work on views.
 
-    Tables are released on return.
+    Returns:
+        The pieces, the outlines, `few` and `whole` with refined poses, and counts.
     """
-    whole = first.whole
-    kept, stats = later_rounds(first, near, options, num_threads, advance, workers)
+    given = (near, options, num_threads, advance, workers)
+    depths = find_depths(whole, near, options, workers, advance)
+    rounds = trace_rounds(few, whole, depths, *given)
+    for last in rounds:
+        if options.refine_poses and are_enough(last[0], options.bundle_adjustment):
+            break
+    poses: dict[str, Any] = {}
+    motions, points = np.zeros((0, 3, 4)), np.zeros((0, 3))
+    if options.refine_poses:
+        edges = with_look_up(whole, make_edges(last[0].edges), Edges3D.none()).edges
+        adjustment, seed = options.bundle_adjustment, options.random_seed
+        motions, points, poses = refine_poses(model, edges, adjustment, num_threads, seed)
+        if len(motions):
+            few = thinned(moved_model(model, motions, points), seed)
+            whole = replace(whole, views=few.views)
+            whole.indexes.clear()
+            rounds = trace_rounds(few, whole, depths, *given)
+    kept, stats = [last, *rounds][-1]
     rest = replace(what_remains(whole, kept, options.tracing), neighbors=near.later_neighbors)
     outlines = find_envelopes(rest, near, options.chain_depth, workers)
     kept, repeated = without_repeats(whole, kept, options.tracing)
     whole.graphs.trim()
     pieces, merged = merged_pieces(whole, kept, options, num_threads)
-    pieces = replace(pieces, motions=first.motions, points3D_xyz=first.points3D_xyz)
+    pieces = replace(pieces, motions=motions, points3D_xyz=points)
     counts = {"points_of_outlines": len(outlines.points)}
-    return pieces, outlines, stats | counts | repeated | merged
+    return pieces, outlines, few, whole, stats | {"poses": poses} | counts | repeated | merged
 
 
-def later_rounds(
-    first: FirstRound,
+def trace_rounds(
+    model: Model,
+    whole: TracingInput,
+    depths: Depths,
     near: Neighborhood,
     options: PipelineOptions,
     num_threads: int,
     advance: Callable[[], None],
     workers: Workers,
-) -> tuple[FilteredCurves, dict[str, Any]]:
-    """The filtered curves of all rounds, and counts; intermediate data are released on return."""
-    traced, kept, stats = first.traced, first.kept, first.stats
-    whole = replace(first.whole, neighbors=near.later_neighbors)
+) -> Iterator[tuple[FilteredCurves, dict[str, Any]]]:
+    """After each round the filtered curves of all so far, and counts; the first has `depths`."""
+    traced, stats = trace_views(whole, depths, options, None, workers, advance)
+    # Made again at the end in a hundredth of a round's time, they take half of its memory.
+    whole.indexes.clear()
+    whole.graphs.trim()
+    kept, filter_stats = filter_curves(model, traced, options.tracing, num_threads)
+    yield kept, stats | filter_stats
     # Limits come from the first round, whose curves are the most reliable.
     limits = kept.limits if traced else None
+    whole = replace(whole, neighbors=near.later_neighbors)
     later = of_later_rounds(options)
     for _ in range(1, options.tracing.num_rounds):
         rest = what_remains(whole, kept, options.tracing)
-        found = find_depths(rest, near, later, workers, advance)
-        more, in_runs = trace_views(rest, *found, later, limits, workers, advance)
-        traced += in_whole_graphs(rest, more)
-        counts = count_samples(*found, in_runs)
-        stats |= {name: stats[name] + count for name, count in counts.items()}
-        kept, _ = filter_curves(first.model, traced, options.tracing, num_threads, limits)
-    return kept, stats
+        depths = find_depths(rest, near, later, workers, advance)
+        found, more = trace_views(rest, depths, later, limits, workers, advance)
+        traced += in_whole_graphs(rest, found)
+        stats = {name: stats[name] + more[name] for name in stats}
+        kept, filter_stats = filter_curves(model, traced, options.tracing, num_threads, limits)
+        yield kept, stats | filter_stats
+
+
+def are_enough(kept: FilteredCurves, options: BundleAdjustmentOptions) -> bool:
+    """Whether most views observe more edge points than poses are adjusted to."""
+    counts = np.bincount(np.concatenate([each.observations.views for each in kept.edges]))
+    return bool(np.median(counts) >= options.adjusted_observations)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Depths:
+    """What matching finds along the chains of every view.
+
+    Attributes:
+        samples: depths of the samples of each view, without their supports to save memory.
+        agreeing: per view (S,) number of other views that agree with each depth.
+    """
+
+    samples: list[ChainDepths]
+    agreeing: list[Int32Array]
 
 
 def find_depths(
@@ -231,8 +221,8 @@ def find_depths(
     options: PipelineOptions,
     workers: Workers,
     advance: Callable[[], None],
-) -> tuple[list[ChainDepths], list[Int32Array]]:
-    """Depths along the chains of every view, and (S,) numbers of views that agree with each."""
+) -> Depths:
+    """Depths along the chains of every view."""
     order = local_order([given.neighbors[view] for view in range(len(given.views))])
     given.graphs.trim()
 
@@ -249,27 +239,30 @@ def find_depths(
         for view in order.tolist()
     }
     given.graphs.put_aside()  # from here on each is needed once or twice, the indexes often
-    return [without_supports(of) for of in depths], [agreeing[view] for view in range(len(order))]
+    return Depths(
+        samples=[without_supports(of) for of in depths],
+        agreeing=[agreeing[view] for view in range(len(order))],
+    )
 
 
 def trace_views(
     given: TracingInput,
-    depths: list[ChainDepths],
-    agreeing: list[Int32Array],
+    depths: Depths,
     options: PipelineOptions,
     limits: Limits | None,
     workers: Workers,
     advance: Callable[[], None],
-) -> tuple[list[TracedCurves], int]:
+) -> tuple[list[TracedCurves], dict[str, int]]:
     """Trace curves on the chains of every view that earlier ones do not cover, the best view first.
 
     Views without a common observing view are processed in parallel.
 
     Returns:
-        The curves of each view that has any, and the number of samples in kept runs.
+        The curves of each view that has any, and the numbers of samples after each check.
     """
-    views = [given.views[view] for view in range(len(depths))]
-    scores = [score_of(*of) for of in zip(views, depths, agreeing, strict=True)]
+    samples, agreeing = depths.samples, depths.agreeing
+    views = [given.views[view] for view in range(len(samples))]
+    scores = [score_of(*of) for of in zip(views, samples, agreeing, strict=True)]
     order = np.argsort([-score for score in scores], kind="stable")
     traced: dict[int, TracedCurves] = {}
     covered = nothing_covered(given.polyline_offsets)
@@ -277,7 +270,7 @@ def trace_views(
 
     def call(view: int) -> Call:
         part = given.part(view, given.observing_views[view], workers)
-        found, threads = (covered[view], depths[view], agreeing[view]), workers.threads_per_view
+        found, threads = (covered[view], samples[view], agreeing[view]), workers.threads_per_view
         return curves_traced, (part, view, *found, options, threads)
 
     def finish(view: int, result: tuple[TracedCurves | None, int]) -> None:
@@ -297,7 +290,8 @@ def trace_views(
     needed = [given.observing_views[view] for view in range(len(order))]
     schedule = Schedule(order, needed, given.num_kept(workers))
     run_scheduled(workers, schedule, call, finish)
-    return [traced[view] for view in order.tolist() if view in traced], int(in_runs.sum())
+    curves = [traced[view] for view in order.tolist() if view in traced]
+    return curves, count_samples(depths, int(in_runs.sum()))
 
 
 def curves_traced(
@@ -339,14 +333,12 @@ def without_supports(depths: ChainDepths) -> ChainDepths:
     )
 
 
-def count_samples(
-    depths: list[ChainDepths], agreeing: list[Int32Array], in_runs: int
-) -> dict[str, int]:
+def count_samples(depths: Depths, in_runs: int) -> dict[str, int]:
     """Count the samples on chains after each check."""
     return {
-        "samples": sum(len(d.samples) for d in depths),
-        "samples_with_depth": int(sum(d.found.sum() for d in depths)),
-        "samples_confirmed": int(sum((a >= 1).sum() for a in agreeing)),
+        "samples": sum(len(d.samples) for d in depths.samples),
+        "samples_with_depth": int(sum(d.found.sum() for d in depths.samples)),
+        "samples_confirmed": int(sum((a >= 1).sum() for a in depths.agreeing)),
         "samples_in_runs": in_runs,
     }
 
