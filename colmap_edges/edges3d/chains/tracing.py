@@ -139,18 +139,19 @@ def trace_pieces(
     """
     given = (near, options, num_threads, advance, workers)
     depths = find_depths(whole, near, options, workers, advance)
-    rounds = trace_rounds(few, whole, depths, *given)
+    rounds, adjustment = trace_rounds(few, whole, depths, *given), options.bundle_adjustment
     for last in rounds:
-        if options.refine_poses and are_enough(last[0], options.bundle_adjustment):
+        if options.refine_poses and are_enough(last[0], len(model.views), adjustment):
             break
     poses: dict[str, Any] = {}
     motions, points = np.zeros((0, 3, 4)), np.zeros((0, 3))
     if options.refine_poses:
         edges = with_look_up(whole, make_edges(last[0].edges), Edges3D.none()).edges
-        adjustment, seed = options.bundle_adjustment, options.random_seed
-        motions, points, poses = refine_poses(model, edges, adjustment, num_threads, seed)
+        motions, points, poses = refine_poses(
+            model, edges, adjustment, num_threads, options.random_seed
+        )
         if len(motions):
-            few = thinned(moved_model(model, motions, points), seed)
+            few = thinned(moved_model(model, motions, points), options.random_seed)
             whole = replace(whole, views=few.views)
             whole.indexes.clear()
             rounds = trace_rounds(few, whole, depths, *given)
@@ -196,9 +197,11 @@ def trace_rounds(
         yield kept, stats | filter_stats
 
 
-def are_enough(kept: FilteredCurves, options: BundleAdjustmentOptions) -> bool:
-    """Whether most views observe more edge points than poses are adjusted to."""
-    counts = np.bincount(np.concatenate([each.observations.views for each in kept.edges]))
+def are_enough(kept: FilteredCurves, num_views: int, options: BundleAdjustmentOptions) -> bool:
+    """Whether most views observe as many edge points as poses are adjusted to."""
+    counts = np.zeros(num_views)
+    for each in kept.edges:
+        counts += np.bincount(each.observations.views, minlength=num_views)
     return bool(np.median(counts) >= options.adjusted_observations)
 
 

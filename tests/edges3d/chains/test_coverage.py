@@ -42,7 +42,7 @@ def graphs_of_views(seeing):
 
 def points_before(num_rounds, seeing=(3, 5, 7)):
     """Edges of the scene, and which of their points are on the line before the fence."""
-    options = PipelineOptions(tracing=TracingOptions(num_rounds=num_rounds))
+    options = PipelineOptions(refine_poses=False, tracing=TracingOptions(num_rounds=num_rounds))
     traced, stats = trace_edges(
         known.model_of(VIEWS), Graphs.of(graphs_of_views(seeing)), options, 1
     )
@@ -73,10 +73,13 @@ def test_second_round_stands_alone_where_the_first_finds_nothing():
     tracing = TracingOptions(min_agreeing_views=3)  # of two others at most
     model, graphs = known.model_of(VIEWS[3:6]), Graphs.of(graphs_of_views(())[3:6])
     nothing, _ = trace_edges(
-        model, graphs, PipelineOptions(tracing=replace(tracing, num_rounds=1)), 1
+        model,
+        graphs,
+        PipelineOptions(refine_poses=False, tracing=replace(tracing, num_rounds=1)),
+        1,
     )
     assert nothing.edges.num_points == 0
-    traced, _ = trace_edges(model, graphs, PipelineOptions(tracing=tracing), 1)
+    traced, _ = trace_edges(model, graphs, PipelineOptions(refine_poses=False, tracing=tracing), 1)
     assert traced.edges.num_points > 100
 
 

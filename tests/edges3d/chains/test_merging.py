@@ -27,7 +27,7 @@ def traced(curves_of_view, sides_of_view, num_threads=1):
         for i, view in enumerate(VIEWS)
     ]
     found, stats = trace_edges(
-        known.model_of(VIEWS), Graphs.of(graphs), PipelineOptions(), num_threads
+        known.model_of(VIEWS), Graphs.of(graphs), PipelineOptions(refine_poses=False), num_threads
     )
     return found.edges, stats
 
