@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 from colmap_edges.colmap.model import Model
@@ -50,10 +51,14 @@ BELIEVED = 0.75  # correlation of windows of one place
 MAX_OFF_PX = 1.0  # maximum distance of the patches of two views that agree, in pixels of parallax
 MIN_AGREEING = 2  # other views
 MAX_THROUGH = 0.5  # views that see through a patch, per agreeing view
-# Share of accepted patches of all sites with texture, below which a scene has none: 0 to 0.20 in
-# plain rooms and on glossy parts, where texture is not on the surface (reflections, shading, noise)
-# and windows agree by accident, 0.56 to 0.84 where surfaces have texture.
+# Share of accepted patches of all sites with texture, below which most texture is on no surface
+# (reflections, shading, noise), and windows agree by accident: 0 to 0.24 in plain rooms and on
+# glossy parts, 0.29 to 0.84 where surfaces have texture. Then a patch needs others around it: in a
+# square of so many sites at least so many, and such a share of those with texture.
 MIN_AGREED_SHARE = 0.25
+SQUARE_SITES = 9
+MIN_AROUND = 15
+MIN_AROUND_SHARE = 0.5
 MAX_COLUMNS = 256  # cells along the longer side of a picture, of 4 pixels each
 MAX_BYTES = 1e9  # of all pictures
 
@@ -157,7 +162,7 @@ def find_patches(
     agreed = Agreed(*scene.agreed(*others, MAX_OFF_PX, num_threads))
     accepted, num_sites = are_accepted(agreed), sum(int(of.sum()) for of in active)
     if accepted.sum() < MIN_AGREED_SHARE * num_sites:
-        accepted[:] = False
+        accepted &= are_among_others(accepted, agreed, active)
     chosen = np.flatnonzero(accepted & (agreed.rows[:, 3] > 0))
     return replace(
         patches_of(model, grids, agreed, chosen),
@@ -196,6 +201,28 @@ def are_accepted(agreed: Agreed) -> BoolArray:
     agreeing = np.diff(agreed.offsets)
     accepted: BoolArray = agreeing >= MIN_AGREEING
     return accepted & (agreed.rows[:, 4] <= MAX_THROUGH * agreeing)
+
+
+def are_among_others(accepted: BoolArray, agreed: Agreed, active: Sequence[BoolArray]) -> BoolArray:
+    """(P,) whether patches have enough accepted ones around them.
+
+    Args:
+        accepted: (P,) whether views agree on a patch.
+        agreed: the patches.
+        active: (rows, columns) whether sites of each view have texture and no edge.
+    """
+    among = np.zeros_like(accepted)
+    view, row, column = agreed.rows[:, :3].T
+    for own, sites in zip(rows_by_view(view, len(active)), active, strict=True):
+        have = np.zeros(sites.shape, np.float32)
+        have[row[own], column[own]] = accepted[own]
+        found, textured = (
+            cv2.boxFilter(of, -1, (SQUARE_SITES,) * 2, None, (-1, -1), False, cv2.BORDER_CONSTANT)
+            for of in (have, sites.astype(np.float32))
+        )
+        enough = (found >= MIN_AROUND) & (found >= MIN_AROUND_SHARE * textured)
+        among[own] = enough[row[own], column[own]]
+    return among
 
 
 def patches_of(model: Model, grids: Sequence[Grid], agreed: Agreed, chosen: IntArray) -> Patches:

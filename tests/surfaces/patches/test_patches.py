@@ -10,7 +10,12 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.surfaces.faces.grids import blank_grid, usable_at
 from colmap_edges.surfaces.patches.adding import what_they_add
-from colmap_edges.surfaces.patches.finding import NO_PATCHES, find_patches
+from colmap_edges.surfaces.patches.finding import (
+    NO_PATCHES,
+    Agreed,
+    are_among_others,
+    find_patches,
+)
 from colmap_edges.surfaces.patches.sites import (
     hypotheses_at,
     noise_of,
@@ -47,6 +52,29 @@ def test_patches_do_not_depend_on_threads(scene, patches):
     again = find_patches(scene[0], Edges3D.none(), scene[1], 0, 1)
     np.testing.assert_array_equal(again.points.points, patches.points.points)
     np.testing.assert_array_equal(again.points.track_views, patches.points.track_views)
+
+
+def agreed_at(places):
+    """Patches at these rows and columns of the second of two views."""
+    rows = np.zeros((len(places), 5), np.int32)
+    rows[:, 0], rows[:, 1:3] = 1, places
+    nothing = np.zeros(0, np.int32)
+    return Agreed(rows, np.zeros((len(rows), 7)), np.zeros(len(rows) + 1, np.int64), nothing)
+
+
+def test_patches_of_chance_have_few_around_them():
+    active = [np.zeros((40, 60), bool), np.ones((40, 60), bool)]
+    area = np.argwhere(np.ones((20, 20)))  # on a carpet, of which the last columns are refused
+    lone = np.array([[30, 30], [33, 50]])
+    accepted = np.concatenate([area[:, 1] < 15, [True, True]])
+    among = are_among_others(accepted, agreed_at(np.concatenate([area, lone])), active)
+    assert among[:400].reshape(20, 20)[4:16, 4:15].all()
+    assert not among[400:].any()
+    # In a reflection of few sites most may agree.
+    small = np.argwhere(np.ones((3, 4)))
+    shown = [active[0], np.zeros((40, 60), bool)]
+    shown[1][:3, :4] = True
+    assert not are_among_others(np.ones(12, bool), agreed_at(small), shown).any()
 
 
 def test_views_without_pictures_show_no_patches(scene):
