@@ -47,7 +47,7 @@ class EvidenceWeights(NamedTuple):
     seen_through: float = 1.0  # views that see a point behind the plane there
     no_plane: float = 1.1  # no plane; a plane without evidence costs 1
     agree: float = 0.3  # views that took the same plane there
-    disagree: float = 1.0  # views that took a plane farther away
+    disagree: float = 0.3  # views that took a plane farther away
     hidden: float = 0.5  # share of views that took a nearer plane
     correlation: float = 1.0  # gray that differs from that in other views
     inside: float = 0.15  # a place that the plane's points lie around
