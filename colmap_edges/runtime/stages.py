@@ -44,9 +44,9 @@ class Stage:
     lock: Lock = field(default_factory=Lock)
 
     def advance(self) -> None:
-        """Count one step as finished; thread-safe."""
+        """Count one step as finished, repeated ones only up to the total; thread-safe."""
         with self.lock:
-            self.done += 1
+            self.done = min(self.done + 1, self.total)
             self.progress(self.name, self.done, self.total)
 
     def record(self) -> dict[str, Any]:

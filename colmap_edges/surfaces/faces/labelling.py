@@ -38,8 +38,8 @@ MAX_SWEEPS = 1  # sweeps of alpha expansion over all planes; a second one makes 
 class EvidenceWeights(NamedTuple):
     """What speaks for and against a plane in a cell, in units of a border of half a cell.
 
-    Set by trial on corridor and rooms (docs/experiments.md). Counts of points and of views saturate
-    at two to three.
+    Set by trial on corridor and rooms, `disagree` on all random scenes (docs/experiments.md).
+    Counts of points and of views saturate at two to three.
     """
 
     on: float = 1.6  # observed points that lie on the plane

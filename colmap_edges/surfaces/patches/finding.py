@@ -53,7 +53,7 @@ MIN_AGREEING = 2  # other views
 MAX_THROUGH = 0.5  # views that see through a patch, per agreeing view
 # Share of accepted patches of all sites with texture, below which most texture is on no surface
 # (reflections, shading, noise), and windows agree by accident: 0 to 0.24 in plain rooms and on
-# glossy parts, 0.29 to 0.84 where surfaces have texture. Then a patch needs others around it: in a
+# glossy parts, 0.27 to 0.84 where surfaces have texture. Then a patch needs others around it: in a
 # square of so many sites at least so many, and such a share of those with texture.
 MIN_AGREED_SHARE = 0.25
 SQUARE_SITES = 9
@@ -209,7 +209,7 @@ def are_among_others(accepted: BoolArray, agreed: Agreed, active: Sequence[BoolA
     Args:
         accepted: (P,) whether views agree on a patch.
         agreed: the patches.
-        active: (rows, columns) whether sites of each view have texture and no edge.
+        active: (V,) per view (rows, columns) whether sites have texture and no edge.
     """
     among = np.zeros_like(accepted)
     view, row, column = agreed.rows[:, :3].T
