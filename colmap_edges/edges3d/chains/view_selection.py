@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ MIN_NEAR = 6  # minimum number of these; with fewer the range is that of the vie
 BORDER_CELLS = 2  # empty cells around the cells with points
 MIN_POINTS = 20  # minimum number of SfM points of a view; with fewer its pose is used instead
 MOST_SHARED = 8192  # maximum number of points of a view by which its neighbours are scored
-MOST_BY_POSE = 256  # maximum number of views that a view without points is compared with
+MOST_BY_POSE = 256  # maximum number of views that a view is compared with by poses
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,20 +115,19 @@ class Neighborhood:
 def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
     """Choose the neighbours of each view by shared points and triangulation angle.
 
-    Views with few points are compared by their poses alone.
+    Where a view shares points with fewer than `num_neighbors` others, poses choose further ones.
     """
     count = max(options.num_neighbors, options.num_later_neighbors)
     observed = observation_matrix(model)
     observers = observed.T.tocsr()
     ranges = inverse_depth_ranges(model, observed)
-    by_pose = candidates_by_pose(model, observed, ranges)
+    nearest = nearest_by_pose(model, ranges)
     neighbors, observing_views = [], []
     for view in range(len(model.views)):
-        if view in by_pose:
-            depth = 1 / float(np.mean(ranges[view].overall))
-            near, wide = pose_scores(model, view, depth, by_pose[view], options)
-        else:
-            near, wide = neighbor_scores(model, observed, observers, view, options)
+        near, wide = neighbor_scores(model, observed, observers, view, options)
+        if np.count_nonzero(wide) < options.num_neighbors:
+            by_pose = pose_scores(model, view, ranges[view], nearest(view), options)
+            near, wide = (with_others(*of) for of in zip((near, wide), by_pose, strict=True))
         chosen = pick_diverse(model, view, near, count)
         lacking = count - len(chosen)
         if lacking:  # views at larger angles are better than none
@@ -218,23 +217,18 @@ def pose_range(model: Model, index: int, focus: FloatArray, distance: float) -> 
     return 0.0, 1 / float(distance)
 
 
-def candidates_by_pose(
-    model: Model, observed: csr_array, ranges: Sequence[DepthRange]
-) -> dict[int, IntArray]:
-    """For each view with few points, candidate neighbours by poses alone, ascending.
-
-    They are nearest in position and viewing direction together.
-    """
-    lacking = np.flatnonzero(np.diff(observed.indptr) < MIN_POINTS)
-    if len(lacking) == 0:
-        return {}
+def nearest_by_pose(model: Model, ranges: Sequence[DepthRange]) -> Callable[[int], IntArray]:
+    """A function that gives the views nearest to one in position and viewing direction together."""
     depths = np.array([1 / np.mean(of.overall) for of in ranges])
     axes = np.array([view.rotation[2] for view in model.views])
     places = np.hstack([model.camera_centers, model.camera_centers + depths[:, None] * axes])
-    count = min(MOST_BY_POSE + 1, len(places))
-    _, near = cKDTree(places).query(places[lacking], count)
-    near = np.sort(near.reshape(len(lacking), count), axis=1)
-    return {view: of[of != view] for view, of in zip(lacking.tolist(), near, strict=True)}
+    tree, count = cKDTree(places), min(MOST_BY_POSE + 1, len(places))
+
+    def nearest(view: int) -> IntArray:
+        found = np.sort(np.atleast_1d(tree.query(places[view], count)[1]))
+        return np.asarray(found[found != view], np.int64)
+
+    return nearest
 
 
 def neighbor_scores(
@@ -246,12 +240,15 @@ def neighbor_scores(
 ) -> FloatArray:
     """(2, V) scores of every other view as a neighbour and as an observing view.
 
-    A score is the number of shared points, weighted by their triangulation angles.
+    A score is the number of shared points, weighted by their triangulation angles; 0 for all views
+    if the view has too few points.
 
     `observers` is `observed` transposed: it gives the views that share a point, so that views
     without shared points cost nothing.
     """
     seen = observed.indices[observed.indptr[view] : observed.indptr[view + 1]]
+    if len(seen) < MIN_POINTS:
+        return np.zeros((2, len(model.views)))
     seen = seen[:: -(-len(seen) // MOST_SHARED)]
     points = model.points3D_xyz[seen]
     shared = observers[seen]
@@ -283,14 +280,22 @@ def angle_weights(
 
 
 def pose_scores(
-    model: Model, view: int, depth: float, candidates: IntArray, options: ViewSelectionOptions
+    model: Model,
+    view: int,
+    depths: DepthRange,
+    candidates: IntArray,
+    options: ViewSelectionOptions,
 ) -> FloatArray:
-    """(2, V) the same scores by poses: the share of this view's frustum that a candidate sees."""
+    """(2, V) the same scores by poses: the share of this view's frustum that a candidate sees.
+
+    The frustum is seen at several depths, as nothing tells at which one the surfaces are.
+    """
     own = model.views[view]
     x, y = np.meshgrid(np.linspace(0.1, 0.9, 5) * own.width, np.linspace(0.1, 0.9, 5) * own.height)
     undistorted = own.undistorted_from_image(np.column_stack([x.ravel(), y.ravel()])) / own.focal_px
-    local = depth * np.column_stack([undistorted, np.ones(len(undistorted))])
-    points = (local - own.translation) @ own.rotation
+    local = np.column_stack([undistorted, np.ones(len(undistorted))])
+    inverse_depths = np.linspace(*depths.of_points, 5)[1:-1, None, None]
+    points = ((local / inverse_depths).reshape(-1, 3) - own.translation) @ own.rotation
     rays = np.tile(points - own.center, (len(candidates), 1))
     other_rays = points[None] - model.camera_centers[candidates, None]
     weights = angle_weights(rays, other_rays.reshape(-1, 3), options)
@@ -300,6 +305,14 @@ def pose_scores(
     scores = np.zeros((2, len(model.views)))
     scores[:, candidates[useful]] = (weights[:, useful] * inside).sum(axis=2)
     return scores
+
+
+def with_others(scores: FloatArray, others: FloatArray) -> FloatArray:
+    """(V,) scores by shared points, and below them all scores by poses of the other views."""
+    least = scores[scores > 0].min(initial=np.inf)
+    if not np.isfinite(least):
+        return others
+    return np.where(scores > 0, scores, others * least / max(others.max(), 1e-300))
 
 
 def pick_diverse(model: Model, view: int, scores: FloatArray, count: int) -> IntArray:
