@@ -38,7 +38,8 @@ MAX_SWEEPS = 1  # sweeps of alpha expansion over all planes; a second one makes 
 class EvidenceWeights(NamedTuple):
     """What speaks for and against a plane in a cell, in units of a border of half a cell.
 
-    Set by trial on corridor and rooms, `disagree` on all random scenes (docs/experiments.md).
+    Set by trial on corridor and rooms, `agree` and `disagree` on all random scenes
+    (docs/experiments.md).
     Counts of points and of views saturate at two to three.
     """
 
@@ -46,7 +47,7 @@ class EvidenceWeights(NamedTuple):
     before: float = 1.5  # observed points behind the plane, which it would hide
     seen_through: float = 1.0  # views that see a point behind the plane there
     no_plane: float = 1.1  # no plane; a plane without evidence costs 1
-    agree: float = 0.3  # views that took the same plane there
+    agree: float = 0.6  # views that took the same plane there
     disagree: float = 0.3  # views that took a plane farther away
     hidden: float = 0.5  # share of views that took a nearer plane
     correlation: float = 1.0  # gray that differs from that in other views
