@@ -30,38 +30,36 @@ from colmap_edges.core.arrays import (
     joined_offsets,
     owners_of,
 )
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.edges3d import AdjustedPoses, Edges3D
 from colmap_edges.core.view import track_residuals, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
 
 
-def moved_model(model: Model, motions: FloatArray, points3D_xyz: FloatArray) -> Model:
+def moved_model(model: Model, poses: AdjustedPoses) -> Model:
     """A model with changed poses and points, with a copy of the reconstruction.
 
     Args:
         model: the model to start from; it is not changed.
-        motions: (F, 3, 4) rigid motion applied before each frame's pose, frames by ascending id;
-            (0, 3, 4) for no change at all.
-        points3D_xyz: (N, 3) the new points.
+        poses: the new poses and SfM points.
     """
-    if not len(motions):
+    if not len(poses.motions):
         return model
     moved = pycolmap.Reconstruction(model.reconstruction)
-    motion_of = dict(zip(np.unique(frames_of_views(model)).tolist(), motions, strict=True))
+    motion_of = dict(zip(np.unique(frames_of_views(model)).tolist(), poses.motions, strict=True))
     frame_of = {image.name: image.frame_id for image in moved.images.values()}
     for copy, original in model.copies:  # they stay where their originals are
         motion_of.setdefault(frame_of[copy], motion_of[frame_of[original]])
     for frame_id, motion in motion_of.items():
         frame = moved.frames[frame_id]
         frame.rig_from_world = frame.rig_from_world * pycolmap.Rigid3d(motion)
-    for point3D_id, xyz in zip(model.point3D_ids, points3D_xyz, strict=True):
+    for point3D_id, xyz in zip(model.point3D_ids, poses.points3D_xyz, strict=True):
         moved.points3D[point3D_id].xyz = xyz
     moved.update_point_3d_errors()
     images = [moved.images[view.image_id] for view in model.views]
     return replace(
         model,
         views=tuple(view_from_image(i, v.scale) for i, v in zip(images, model.views, strict=True)),
-        points3D_xyz=points3D_xyz,
+        points3D_xyz=poses.points3D_xyz,
         reconstruction=moved,
     )
 

@@ -331,6 +331,23 @@ class DistinctPoints:
 
 
 @dataclass(frozen=True, kw_only=True)
+class AdjustedPoses:
+    """Poses and SfM points of a model after bundle adjustment.
+
+    Attributes:
+        motions: (F, 3, 4) rigid motion before each frame's pose, frames by ascending id; (0, 3, 4)
+            if poses stay as they are.
+        points3D_xyz: (N, 3) the SfM points; (0, 3) if poses stay as they are.
+    """
+
+    motions: FloatArray
+    points3D_xyz: FloatArray
+
+
+AS_GIVEN = AdjustedPoses(motions=np.zeros((0, 3, 4)), points3D_xyz=np.zeros((0, 3)))
+
+
+@dataclass(frozen=True, kw_only=True)
 class TracedEdges:
     """The result of tracing the edge graphs of all views.
 
@@ -339,16 +356,13 @@ class TracedEdges:
         contours: view-dependent contours, which move over a surface from view to view, as
             silhouettes and reflections do. They are used for meshing, never written as edges.
         outlines: points at which viewing rays touch smooth bodies; they are used for meshing.
-        motions: (F, 3, 4) rigid motion before each frame's pose, frames by ascending id, if poses
-            were refined on edges; else (0, 3, 4).
-        points3D_xyz: (N, 3) the SfM points, if poses were refined; else (0, 3).
+        poses: the poses with which they were traced, refined on edges or as given.
     """
 
     edges: Edges3D
     contours: Edges3D
     outlines: Outlines = NO_OUTLINES
-    motions: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 4)))
-    points3D_xyz: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    poses: AdjustedPoses = AS_GIVEN
 
 
 def mean_colors(values: FloatArray, offsets: IntArray) -> ByteArray:

@@ -60,7 +60,7 @@ def trace_stage(
         if cache:
             stage.counts["edges_reused"] = edges.num_edges if kept is not None else 0
         stage.counts["details"] = details
-        return moved_model(model, traced.motions, traced.points3D_xyz), traced
+        return moved_model(model, traced.poses), traced
 
 
 def traced_from(
@@ -73,7 +73,7 @@ def traced_from(
             do not project to where they are observed.
     """
     traced = unflattened(TracedEdges, arrays)
-    views = moved_model(model, traced.motions, traced.points3D_xyz).views
+    views = moved_model(model, traced.poses).views
     # In results, the largest median residual is 1.1 times the limit of observations.
     limit_px = 3 * max(options.refinement.max_residual_px, options.following.max_error_px)
     for edges in (traced.edges, traced.contours):

@@ -11,7 +11,7 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
 from colmap_edges.core.arrays import BoolArray, FloatArray, ranks_of
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.edges3d import AS_GIVEN, AdjustedPoses, Edges3D
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import EDGE, SFM, Problem, State, make_problem
 from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, minimize
@@ -68,7 +68,7 @@ def refine_poses(
     options: BundleAdjustmentOptions,
     num_threads: int = 1,
     random_seed: int = 0,
-) -> tuple[FloatArray, FloatArray, dict[str, Any]]:
+) -> tuple[AdjustedPoses, dict[str, Any]]:
     """Refine the poses of a model on its SfM points and its edges.
 
     Position, orientation and scale of the model are kept, so that frames move as little as
@@ -82,9 +82,8 @@ def refine_poses(
         random_seed: seed of the choice of points.
 
     Returns:
-        (F, 3, 4) motions and (N, 3) SfM points for `moved_model`, empty if poses stay; and counts.
+        The poses and SfM points for `moved_model`, and counts.
     """
-    nothing = np.zeros((0, 3, 4)), np.zeros((0, 3))
     few_points = thinned(model, random_seed, options.adjusted_observations)
     problem, start = make_problem(few_points, edges)
     stats: dict[str, Any] = {
@@ -95,12 +94,12 @@ def refine_poses(
     }
     unknowns = 6 * problem.num_frames + 3 * len(problem.kinds)
     if problem.num_residuals < unknowns or len(np.unique(problem.groups)) < options.num_folds:
-        return *nothing, stats  # too few measurements
+        return AS_GIVEN, stats  # too few measurements
     chosen = enough_points(problem, options.tested_observations, random_seed)
     tested = part_of(problem, start, chosen)
     stats["held_out_gain"] = float(np.median(held_out_gains(*tested, options, num_threads)))
     if stats["held_out_gain"] < options.min_gain:
-        return *nothing, stats
+        return AS_GIVEN, stats
     chosen = enough_points(problem, options.adjusted_observations, random_seed)
     used, start = part_of(problem, start, chosen)
     state = adjust(used, start, options)
@@ -112,7 +111,7 @@ def refine_poses(
         "median_turn_deg": np.degrees(np.median(np.linalg.norm(state.moved[:, :3], axis=1))),
         "median_shift": np.median(np.linalg.norm(state.moved[:, 3:], axis=1)),
     }
-    return *motions_and_points(model, *with_all_points(model, state, options)), stats
+    return poses_of(model, *with_all_points(model, state, options)), stats
 
 
 def with_all_points(
@@ -138,11 +137,10 @@ def enough_points(problem: Problem, num_observations: int, random_seed: int) -> 
     return chosen
 
 
-def motions_and_points(
-    model: Model, problem: Problem, state: State
-) -> tuple[FloatArray, FloatArray]:
-    """(F, 3, 4) motions of the adjusted frames, and (N, 3) all SfM points, for `moved_model`."""
+def poses_of(model: Model, problem: Problem, state: State) -> AdjustedPoses:
+    """The poses of the adjusted frames, and all SfM points."""
     points = model.points3D_xyz.copy()
     sfm = problem.kinds == SFM
     points[problem.indices[sfm]] = state.points[sfm]
-    return np.concatenate([state.rotations, state.translations[:, :, None]], axis=2), points
+    motions = np.concatenate([state.rotations, state.translations[:, :, None]], axis=2)
+    return AdjustedPoses(motions=motions, points3D_xyz=points)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import load_model, model_from_reconstruction
 from colmap_edges.colmap.writing import moved_model
+from colmap_edges.core.edges3d import AdjustedPoses
 from colmap_edges.edges2d.detection import detect_chains, detect_pixel_chains, resized
 from colmap_edges.edges2d.working_scale import at_working_scale, measure_blur
 from colmap_edges.errors import ColmapEdgesError
@@ -216,7 +217,8 @@ def test_a_view_is_the_same_camera_at_every_scale(scene_model):
 def test_moved_views_keep_their_scale(scene_model):
     model = scene_model.at_scale(1.5)
     still = np.tile(np.eye(3, 4), (len(model.views), 1, 1))
-    moved = moved_model(model, still, model.points3D_xyz)
+    poses = AdjustedPoses(motions=still, points3D_xyz=model.points3D_xyz)
+    moved = moved_model(model, poses)
     assert [view.focal_px for view in moved.views] == [view.focal_px for view in model.views]
 
 

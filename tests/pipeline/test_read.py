@@ -8,6 +8,7 @@ import pycolmap
 import pytest
 
 from colmap_edges.colmap.writing import moved_model
+from colmap_edges.core.edges3d import AdjustedPoses
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.read import read_stage
@@ -74,10 +75,11 @@ def test_copies_move_with_their_originals(small, tmp_path):
     model = read_stage(reconstruction, Stages(), tmp_path)
     motions = np.tile(np.eye(3, 4), (6, 1, 1))
     motions[:, 0, 3] = np.arange(1, 7)
-    moved = moved_model(model, motions, model.points3D_xyz).reconstruction
-    poses = {image.name: image.cam_from_world().matrix() for image in moved.images.values()}
-    np.testing.assert_array_equal(poses["a_copy.png"], poses[first])
-    assert (poses[first] != reconstruction.images[1].cam_from_world().matrix()).any()
+    poses = AdjustedPoses(motions=motions, points3D_xyz=model.points3D_xyz)
+    moved = moved_model(model, poses).reconstruction
+    found = {image.name: image.cam_from_world().matrix() for image in moved.images.values()}
+    np.testing.assert_array_equal(found["a_copy.png"], found[first])
+    assert (found[first] != reconstruction.images[1].cam_from_world().matrix()).any()
 
 
 def test_a_copy_changes_nothing(small, tmp_path):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from colmap_edges.colmap.model import frames_of_views, model_from_reconstruction
 from colmap_edges.colmap.writing import moved_model
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.edges3d import AdjustedPoses, Edges3D
 from colmap_edges.core.polylines import curve_tangents
 from colmap_edges.evaluation.metrics.poses import (
     TrueCameras,
@@ -25,7 +25,7 @@ from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
 from colmap_edges.pipeline.trace import trace_stage
 from colmap_edges.poses import problem as ba
-from colmap_edges.poses.refine import enough_points, motions_and_points, part_of, refine_poses
+from colmap_edges.poses.refine import enough_points, part_of, poses_of, refine_poses
 from colmap_edges.poses.solver import adjust
 from colmap_edges.runtime.stages import Stages
 
@@ -81,7 +81,8 @@ def off(model, edges, turn=0.002, shift=0.01, seed=1):
     motions = random_motions(len(model.views), turn, shift, seed)
     points = model.points3D_xyz + shift * rng.normal(size=model.points3D_xyz.shape)
     moved = edges.points + shift / 3 * rng.normal(size=edges.points.shape)
-    return moved_model(model, motions, points), replace(edges, points=moved)
+    poses = AdjustedPoses(motions=motions, points3D_xyz=points)
+    return moved_model(model, poses), replace(edges, points=moved)
 
 
 def solve(model, edges, kind=None):
@@ -89,7 +90,7 @@ def solve(model, edges, kind=None):
     if kind is not None:
         problem, start = part_of(problem, start, problem.kinds == kind)
     state = adjust(problem, start, OPTIONS)
-    return moved_model(model, *motions_and_points(model, problem, state)), problem, state
+    return moved_model(model, poses_of(model, problem, state)), problem, state
 
 
 @pytest.fixture(scope="module")
@@ -175,14 +176,14 @@ def test_outliers_do_no_harm(noisy):
 
 def test_good_poses_are_kept_and_bad_ones_refined(noisy):
     model, edges = noisy
-    motions, points, stats = refine_poses(model, edges, OPTIONS, num_threads=2)
-    assert moved_model(model, motions, points) is model
+    poses, stats = refine_poses(model, edges, OPTIONS, num_threads=2)
+    assert moved_model(model, poses) is model
     assert not stats["refined"]
     truth = truth_of(model)
     start, moved = off(model, edges, turn=5e-4, shift=2e-3)
     before = [view.rotation.copy() for view in start.views]
-    motions, points, stats = refine_poses(start, moved, OPTIONS)
-    refined = moved_model(start, motions, points)
+    poses, stats = refine_poses(start, moved, OPTIONS)
+    refined = moved_model(start, poses)
     assert stats["refined"]
     assert stats["sfm_sigma_px"] == pytest.approx(0.2, rel=0.25)
     assert stats["edge_sigma_px"] == pytest.approx(0.3, rel=0.35)
@@ -199,7 +200,8 @@ def test_images_of_a_rig_move_together():
     model = model_from_reconstruction(reconstruction)
     assert len(np.unique(frames_of_views(model))) == 6
     truth = truth_of(model)
-    start = moved_model(model, random_motions(6, 0.01, 0.02), model.points3D_xyz)
+    motions = random_motions(6, 0.01, 0.02)
+    start = moved_model(model, AdjustedPoses(motions=motions, points3D_xyz=model.points3D_xyz))
     refined, _, _ = solve(start, Edges3D.none())
     assert min(pose_errors(start.reconstruction, truth)) > 1e-2
     assert max(pose_errors(refined.reconstruction, truth)) < 1e-4
@@ -253,8 +255,8 @@ def test_too_little_to_know_is_left_alone(scene_model):
         track_views=scene_model.track_views[: scene_model.track_offsets[5]],
         track_points2D=scene_model.track_points2D[: scene_model.track_offsets[5]],
     )
-    motions, points, stats = refine_poses(few, Edges3D.none(), OPTIONS)
-    assert len(motions) == len(points) == 0
+    poses, stats = refine_poses(few, Edges3D.none(), OPTIONS)
+    assert len(poses.motions) == len(poses.points3D_xyz) == 0
     assert not stats["refined"]
 
 

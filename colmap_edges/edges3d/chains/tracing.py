@@ -18,7 +18,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
 from colmap_edges.colmap.writing import moved_model
 from colmap_edges.core.arrays import BoolArray, Int32Array
-from colmap_edges.core.edges3d import Edges3D, TracedEdges
+from colmap_edges.core.edges3d import AS_GIVEN, Edges3D, TracedEdges
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import View, lift
 from colmap_edges.edges2d.graphs import Graphs
@@ -92,10 +92,7 @@ def trace_edges(
         "views": len(model.views),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
     }
-    result = replace(
-        result, outlines=seen, motions=pieces.motions, points3D_xyz=pieces.points3D_xyz
-    )
-    return result, about | stats | linked
+    return replace(result, outlines=seen, poses=pieces.poses), about | stats | linked
 
 
 def with_side_likelihoods(
@@ -143,15 +140,12 @@ def trace_pieces(
     for last in rounds:
         if options.refine_poses and are_enough(last[0], len(model.views), adjustment):
             break
-    poses: dict[str, Any] = {}
-    motions, points = np.zeros((0, 3, 4)), np.zeros((0, 3))
+    poses, refined = AS_GIVEN, dict[str, Any]()
     if options.refine_poses:
         edges = with_look_up(whole, make_edges(last[0].edges), Edges3D.none()).edges
-        motions, points, poses = refine_poses(
-            model, edges, adjustment, num_threads, options.random_seed
-        )
-        if len(motions):
-            few = thinned(moved_model(model, motions, points), options.random_seed)
+        poses, refined = refine_poses(model, edges, adjustment, num_threads, options.random_seed)
+        if len(poses.motions):
+            few = thinned(moved_model(model, poses), options.random_seed)
             whole = replace(whole, views=few.views)
             whole.indexes.clear()
             rounds = trace_rounds(few, whole, depths, *given)
@@ -161,9 +155,9 @@ def trace_pieces(
     kept, repeated = without_repeats(whole, kept, options.tracing)
     whole.graphs.trim()
     pieces, merged = merged_pieces(whole, kept, options, num_threads)
-    pieces = replace(pieces, motions=motions, points3D_xyz=points)
+    pieces = replace(pieces, poses=poses)
     counts = {"points_of_outlines": len(outlines.points)}
-    return pieces, outlines, few, whole, stats | {"poses": poses} | counts | repeated | merged
+    return pieces, outlines, few, whole, stats | {"poses": refined} | counts | repeated | merged
 
 
 def trace_rounds(
