@@ -140,7 +140,8 @@ def trace_pieces(
     for last in rounds:
         if options.refine_poses and are_enough(last[0], len(model.views), adjustment):
             break
-    poses, refined = AS_GIVEN, dict[str, Any]()
+    poses = AS_GIVEN
+    refined: dict[str, Any] = {}
     if options.refine_poses:
         edges = with_look_up(whole, make_edges(last[0].edges), Edges3D.none()).edges
         poses, refined = refine_poses(model, edges, adjustment, num_threads, options.random_seed)
