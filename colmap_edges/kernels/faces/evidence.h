@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "faces/grids.h"
@@ -27,7 +28,8 @@ inline double Saturated(double count, double scale) {
   return count > 0 ? 1 - std::exp(-count / scale) : 0;
 }
 
-// Cells of a view that a plane has to explain as well as any to be looked for in it.
+// Cells of a view that a plane has to explain as well as any to be looked for in it, or in which
+// neighbours show it.
 constexpr int32_t kMinCells = 6;
 // What observed points say against a plane, beyond which nothing else is asked.
 constexpr double kHopeless = 0.8;
@@ -47,6 +49,10 @@ struct MissedPoint {
   int32_t cell;
   float weight;  // negative logarithm of how probable it is to miss it where it can be seen
 };
+
+inline bool SameSide(const Plane& plane, const FaceView& one, const FaceView& other) {
+  return plane.Distance(one.pose.center) * plane.Distance(other.pose.center) > 0;
+}
 
 // Depths and costs of the labels of a view's cells: its planes, then none.
 struct ViewCosts {
@@ -98,8 +104,13 @@ class FaceScene {
   // any.
   std::vector<int32_t> PlanesOf(int32_t v, int32_t min_cells) const;
 
-  // By what is observed.
-  ViewCosts Costs(int32_t v) const;
+  // The planes that neighbours were labelled with, on the same side, at `min_cells` cells of a
+  // view.
+  std::vector<int32_t> PlanesAround(int32_t v, const std::vector<std::vector<int32_t>>& labels,
+                                    int32_t min_cells) const;
+
+  // Of some planes by what is observed.
+  ViewCosts Costs(int32_t v, std::vector<int32_t> planes_of_view) const;
   // By the labels of all views, planes or -1.
   void AddLabels(int32_t v, const std::vector<std::vector<int32_t>>& labels, ViewCosts* made) const;
 
@@ -143,6 +154,31 @@ inline std::vector<int32_t> FaceScene::PlanesOf(int32_t v, int32_t min_cells) co
   std::vector<int32_t> chosen;
   for (int32_t p = 0; p < int32_t(planes.size()); ++p)
     if (won[p] >= min_cells) chosen.push_back(p);
+  return chosen;
+}
+
+inline std::vector<int32_t> FaceScene::PlanesAround(int32_t v,
+                                                    const std::vector<std::vector<int32_t>>& labels,
+                                                    int32_t min_cells) const {
+  const FaceView& view = views[v];
+  std::vector<uint8_t> shown(planes.size() * view.num_cells(), false);
+  std::vector<int32_t> counts(planes.size(), 0), chosen;
+  for (const int32_t u : neighbors[v]) {
+    const FaceView& other = views[u];
+    for (int32_t cell = 0; cell < other.num_cells(); ++cell) {
+      const int32_t plane = labels[u][cell];
+      if (plane < 0 || !SameSide(planes[plane], view, other)) continue;
+      const Vec3 ray = other.RayOfCell(cell);
+      const double along = planes[plane].DepthAlong(other.pose.center, ray);
+      Vec2 pixel;
+      double depth;
+      if (!view.Project(other.pose.center + along * ray, &pixel, &depth)) continue;
+      uint8_t& is_shown = shown[size_t(plane) * view.num_cells() + view.CellAt(pixel)];
+      counts[plane] += !is_shown, is_shown = true;
+    }
+  }
+  for (int32_t p = 0; p < int32_t(planes.size()); ++p)
+    if (counts[p] >= min_cells) chosen.push_back(p);
   return chosen;
 }
 
@@ -220,10 +256,6 @@ inline void FaceScene::AddMissed(int32_t v, ViewCosts* made) const {
   }
   for (size_t i = 0; i < missed.size(); ++i)
     made->costs[i] += float(weights.missed * Saturated(missed[i], 2));
-}
-
-inline bool SameSide(const Plane& plane, const FaceView& one, const FaceView& other) {
-  return plane.Distance(one.pose.center) * plane.Distance(other.pose.center) > 0;
 }
 
 // Where planes meet the rays of a row of cells; only those of which other views are asked.
@@ -462,10 +494,10 @@ inline void FaceScene::AddLabels(int32_t v, const std::vector<std::vector<int32_
   }
 }
 
-inline ViewCosts FaceScene::Costs(int32_t v) const {
+inline ViewCosts FaceScene::Costs(int32_t v, std::vector<int32_t> planes_of_view) const {
   const FaceView& view = views[v];
   ViewCosts made;
-  made.planes = PlanesOf(v, kMinCells);
+  made.planes = std::move(planes_of_view);
   const int32_t num_planes = int32_t(made.planes.size()), num_labels = num_planes + 1;
   made.labels.assign(planes.size(), -1);
   for (int32_t k = 0; k < num_planes; ++k) made.labels[made.planes[k]] = k;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <limits>
 #include <vector>
 
@@ -121,7 +122,8 @@ inline std::vector<int32_t> LabelView(const FaceView& view, const ViewCosts& mad
 }
 
 // Labels of all views: at first each by itself, then `num_rounds` - 1 times in agreement with what
-// its neighbours were labelled the time before.
+// its neighbours were labelled the time before. A view may observe few points of what it shows: a
+// plane that neighbours were labelled with is one of its labels, too.
 inline ViewLabels LabelViews(const FaceScene& scene, const BorderCosts& borders, int num_rounds,
                              int max_sweeps, int num_threads) {
   ViewLabels labels(scene.views.size());
@@ -130,7 +132,16 @@ inline ViewLabels LabelViews(const FaceScene& scene, const BorderCosts& borders,
     ViewLabels next(scene.views.size());
     ParallelFor(int64_t(scene.views.size()), num_threads, [&](int64_t v, int) {
       ViewCosts& costs = observed[v];
-      if (round == 0) costs = scene.Costs(int32_t(v));
+      std::vector<int32_t> planes;
+      if (round == 0) {
+        planes = scene.PlanesOf(int32_t(v), kMinCells);
+      } else {
+        const auto around = scene.PlanesAround(int32_t(v), labels, kMinCells);
+        std::set_union(around.begin(), around.end(), costs.planes.begin(), costs.planes.end(),
+                       std::back_inserter(planes));
+      }
+      if (round == 0 || planes.size() > costs.planes.size())
+        costs = scene.Costs(int32_t(v), planes);
       if (round == 0) {
         next[v] = LabelView(scene.views[v], costs, {}, borders, max_sweeps);
       } else {
