@@ -42,6 +42,9 @@ logger = logging.getLogger(__name__)
 # Maximum share of edge points that project onto the background: 0.03 to 0.3 % for true backdrops,
 # 1.7 % and more for black frames around photographs and fisheye images.
 MAX_CONTRADICTED = 0.01
+# ... in a single view: 0 to 2.4 % for true backdrops, 3 to 69 % where a face of a body has the
+# backdrop's colour.
+MAX_CONTRADICTED_IN_VIEW = 0.03
 NUM_SAMPLES = 4000  # number of edge points checked, and of viewing rays tried, over all views
 NUM_VIEWS = 40  # number of views with silhouettes, which also test for foreground, spread around
 NUM_STEPS = 256  # steps along a viewing ray, across the sphere around all edges
@@ -132,6 +135,8 @@ def find_background(
         )
         return None
     known = edges.points if edges.num_points else model.points3D_xyz
+    if not are_masks and is_contradicted(model.views, background_masks, known):
+        return None  # colours of backdrops are compared by direction then, see `find_sky`
     bodies = spread_bodies(model.views, background_masks, known)
     contradicted = contradicted_share(list(bodies.values()), known)
     if contradicted > MAX_CONTRADICTED:
@@ -159,6 +164,20 @@ def spread_bodies(
     away = np.array([views[i].center for i in seen]) - center
     chosen = np.sort(spread(away, NUM_VIEWS)).tolist()
     return {seen[k]: Body(views[seen[k]], background_masks[seen[k]].body()) for k in chosen}
+
+
+def is_contradicted(
+    views: Sequence[View], background_masks: Sequence[BackgroundMask], known: FloatArray
+) -> bool:
+    """Whether many of (N, 3) points lie on the background of a view.
+
+    A face of a body, in the light or in the dark, has the backdrop's colour there.
+    """
+    return any(
+        contradicted_share([Body(view, mask.body())], known) > MAX_CONTRADICTED_IN_VIEW
+        for view, mask in zip(views, background_masks, strict=True)
+        if mask.is_seen
+    )
 
 
 def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:
