@@ -17,6 +17,9 @@ from colmap_edges.surfaces.information import MIN_COSINE
 
 NUM_NEAREST = 8  # number of points of faces next to a point among which its face is sought
 REACH = 2.0  # maximum distance of these, in distances between points of faces
+# Maximum distance from a face in standard deviations, of curves that mostly lie within
+# `ON_TOLERANCE` of faces.
+MOSTLY_ON_TOLERANCE = 4.0
 
 
 def flattened(curves: Edges3D, faces: Faces, model: Model) -> Edges3D:
@@ -24,6 +27,8 @@ def flattened(curves: Edges3D, faces: Faces, model: Model) -> Edges3D:
 
     A plane is known from all of its points, and so better than each. Left where they are, points of
     curves stand out of points of faces, as flakes that no smoothing removes: their sides are steep.
+    Where most points of a curve next to faces are within their noise, those twice as far off are
+    taken for outliers; where most are not, it is relief.
 
     Args:
         curves: edges or contours.
@@ -41,7 +46,13 @@ def flattened(curves: Edges3D, faces: Faces, model: Model) -> Edges3D:
     deviations = np.hypot(sigmas[:, None], ray_sigmas[:, None] * cosines)
     in_noise = np.where(np.abs(cosines) >= MIN_COSINE, np.abs(away) / deviations, np.inf)
     rows = np.arange(curves.num_points), np.argmin(np.nan_to_num(in_noise, nan=np.inf), axis=1)
-    moved = in_noise[rows] <= ON_TOLERANCE
+    noise, starts = in_noise[rows], curves.edge_offsets[:-1]
+    moved = noise <= ON_TOLERANCE
+    num_moved, num_beside = (
+        np.add.reduceat(of.astype(np.int64), starts) for of in (moved, np.isfinite(noise))
+    )
+    mostly = np.repeat(2 * num_moved >= num_beside, np.diff(curves.edge_offsets))
+    moved |= mostly & (noise <= MOSTLY_ON_TOLERANCE)
     points = curves.points.copy()
     points[moved] += rays[moved] * (away[rows] / cosines[rows])[moved, None]
     # Ends that meet at a node stay together.

@@ -10,7 +10,7 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.surfaces.faces.evidence import gather_evidence
 from colmap_edges.surfaces.faces.finding import NO_FACES
-from colmap_edges.surfaces.faces.flattening import flattened, off_faces
+from colmap_edges.surfaces.faces.flattening import MOSTLY_ON_TOLERANCE, flattened, off_faces
 from colmap_edges.surfaces.faces.labelling import ON_TOLERANCE
 from colmap_edges.surfaces.faces.outlines import Face
 
@@ -50,10 +50,10 @@ def edge_at(heights, first=-0.8, last=0.8):
 
 def test_points_within_their_noise_are_moved_along_their_rays(ground):
     _, deviation = edge_at(np.zeros(9))
-    factors = np.array([0.0, 1, -1, 1.9, -1.9, 2.1, -2.1, 4, -4]) * ON_TOLERANCE / 2
+    factors = np.array([0.0, 1, -1, 1.9, -1.9, 3.9, -3.9, 4.1, -6])
     edge, _ = edge_at(factors * deviation)
     found = flattened(edge, ground, MODEL)
-    near = np.abs(factors) < ON_TOLERANCE
+    near = np.abs(factors) < MOSTLY_ON_TOLERANCE
     assert np.abs(found.points[near, 2]).max() < 1e-12
     assert np.array_equal(found.points[~near], edge.points[~near])
     moved = near & (factors != 0)
@@ -61,6 +61,17 @@ def test_points_within_their_noise_are_moved_along_their_rays(ground):
     steps /= np.linalg.norm(steps, axis=1)[:, None]
     along = np.abs((steps * gather_evidence(MODEL, edge).rays[moved]).sum(axis=1))
     assert along.min() > 1 - 1e-9
+
+
+def test_relief_stays(ground):
+    """Most points of the edge are off the face by more than their noise, by 2.1 deviations."""
+    _, deviation = edge_at(np.zeros(9))
+    factors = np.array([1.9, 1.9, 1.9, 1.9, 2.1, 2.1, 2.1, 2.1, 2.1])
+    edge, _ = edge_at(factors * deviation)
+    found = flattened(edge, ground, MODEL)
+    is_near = factors <= ON_TOLERANCE
+    assert np.abs(found.points[is_near, 2]).max() < 1e-12
+    assert np.array_equal(found.points[~is_near], edge.points[~is_near])
 
 
 def test_points_beside_the_face_stay(ground):
