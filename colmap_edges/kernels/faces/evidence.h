@@ -104,8 +104,8 @@ class FaceScene {
   // any.
   std::vector<int32_t> PlanesOf(int32_t v, int32_t min_cells) const;
 
-  // The planes that neighbours were labelled with, on the same side, at `min_cells` cells of a
-  // view.
+  // The planes that neighbours on the same side of them were labelled with at places in at least
+  // `min_cells` cells of a view.
   std::vector<int32_t> PlanesAround(int32_t v, const std::vector<std::vector<int32_t>>& labels,
                                     int32_t min_cells) const;
 

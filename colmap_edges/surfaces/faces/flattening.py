@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.arrays import FloatArray, owners_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.surfaces.faces.evidence import ray_sigmas_of, sight_of
 from colmap_edges.surfaces.faces.finding import Faces
@@ -46,13 +46,12 @@ def flattened(curves: Edges3D, faces: Faces, model: Model) -> Edges3D:
     deviations = np.hypot(sigmas[:, None], ray_sigmas[:, None] * cosines)
     in_noise = np.where(np.abs(cosines) >= MIN_COSINE, np.abs(away) / deviations, np.inf)
     rows = np.arange(curves.num_points), np.argmin(np.nan_to_num(in_noise, nan=np.inf), axis=1)
-    noise, starts = in_noise[rows], curves.edge_offsets[:-1]
+    noise, owners = in_noise[rows], owners_of(curves.edge_offsets)
     moved = noise <= ON_TOLERANCE
     num_moved, num_beside = (
-        np.add.reduceat(of.astype(np.int64), starts) for of in (moved, np.isfinite(noise))
+        np.bincount(owners, of, curves.num_edges) for of in (moved, np.isfinite(noise))
     )
-    mostly = np.repeat(2 * num_moved >= num_beside, np.diff(curves.edge_offsets))
-    moved |= mostly & (noise <= MOSTLY_ON_TOLERANCE)
+    moved |= (2 * num_moved >= num_beside)[owners] & (noise <= MOSTLY_ON_TOLERANCE)
     points = curves.points.copy()
     points[moved] += rays[moved] * (away[rows] / cosines[rows])[moved, None]
     # Ends that meet at a node stay together.

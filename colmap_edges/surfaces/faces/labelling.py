@@ -27,8 +27,8 @@ from colmap_edges.surfaces.faces.hypotheses import MAX_SLOPE, Planes
 NUM_NEIGHBORS = 12  # number of views with the most shared points, with which labels are compared
 ON_TOLERANCE = 2.0  # maximum distance of a point from its plane, in standard deviations
 ON_SLOPE = 3 * MAX_SLOPE  # maximum sine of the angle between a short piece of an edge and its plane
-# Maximum range of the mean distances from a plane of a stretch's thirds, in tolerances: 2/3 where
-# an edge ends at the plane, whether straight or as a parabola.
+# Maximum range of the mean distances from a plane of a stretch's thirds, in tolerances. It is less
+# than 2/3, the range of an edge that leaves the plane, be it straight or a parabola.
 MAX_DRIFT = 0.6
 REACH = 2.0  # radius of the scene, relative to the distance of the farthest points from the centre
 NUM_SIDES = 16  # number of sides of the polygon around a plane's points

@@ -42,6 +42,15 @@ def test_edges_that_touch_or_cross_a_plane_do_not_lie_on_it():
     assert share_on_ground(circle, slope, flat).tolist() == [0, 0, 1]
 
 
+def test_outlines_lie_on_a_plane_that_is_slightly_tilted():
+    """One within 0.9 standard deviations of it, and an edge that leaves it like a parabola."""
+    angles = np.linspace(0, 2 * np.pi, 300)
+    outline = np.column_stack([np.cos(angles), np.sin(angles), 0.9 * SIGMA * np.cos(angles)])
+    along = np.linspace(0, 1, 200)
+    leaving = np.column_stack([along, 0 * along, 10 * SIGMA * along**2])
+    assert share_on_ground(outline, leaving).tolist() == [1, 0]
+
+
 def test_single_points_lie_on_a_plane_within_the_tolerance():
     heights = SIGMA * ON_TOLERANCE * np.array([0.9, -0.9, 1.1])
     shares = [share_on_ground([[0.0, 0, height]])[0] for height in heights]
