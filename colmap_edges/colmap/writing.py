@@ -74,8 +74,8 @@ def write_model(
 ) -> IntArray:
     """Write the model plus the edge points as points3D with tracks.
 
-    Cameras, poses and SfM points are unchanged. Observations of edge points are appended to the
-    points2D of their images, so that existing indices stay valid.
+    Cameras, poses and SfM points are those of `model`. Observations of edge points are appended to
+    the points2D of their images, so that existing indices stay valid.
 
     Args:
         model: the input model; it is not changed.

@@ -82,7 +82,8 @@ class PipelineOptions(Options):
     report: bool = option(True, "Write report.html, a page with a 3D viewer", stage="write")
     refine_poses: bool = option(
         True,
-        "Refine the poses on SfM points and edges, if held-out points fit better for it",
+        "Refine SIMPLE_RADIAL cameras on SfM points, and poses on SfM points and edges, if "
+        "held-out points fit better for it",
         stage="trace",
     )
     masks_are_background: bool = option(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from colmap_edges.colmap.lenses import has_one_coefficient
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import Picture
 from colmap_edges.core.curves3d import Curves3D
@@ -25,11 +26,12 @@ from colmap_edges.pipeline.mesh import (
 from colmap_edges.pipeline.patches import patch_stage
 from colmap_edges.pipeline.paths import Paths, image_folder
 from colmap_edges.pipeline.trace import trace_stage
+from colmap_edges.poses.distortion import refine_distortion
 from colmap_edges.report.contents import ImagePicture
 from colmap_edges.report.pictures import PictureVisitor
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, thread_count
-from colmap_edges.runtime.stages import Stages
+from colmap_edges.runtime.stages import Stages, plain_counts
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import make_grid
 from colmap_edges.surfaces.outlines2d import find_outlines
@@ -43,7 +45,7 @@ class Found:
     """Everything that a run reconstructs before it writes and meshes.
 
     Attributes:
-        model: the model at the working scale, with refined poses if they were wanted.
+        model: the model at the working scale, with refined lenses and poses if they were wanted.
         traced: the 3D edges and the view-dependent contours.
         curves: the curves that fit the edges.
         background: rays to the background or the sky; None without one.
@@ -85,6 +87,7 @@ def find_edges(
         with_pictures: whether to take reduced pictures of the images.
         viewer: viewer that shows intermediate results.
     """
+    given, model = model, lens_stage(model, settings, stages)
     taker = PictureVisitor(len(model.views)) if with_pictures else None
     grids = ImageTaker(make_grid) if for_mesh and settings.use_faces else None
     finds_patches = (for_mesh and settings.use_patches) or settings.write_patches
@@ -98,7 +101,6 @@ def find_edges(
     pictures = taker.pictures() if taker else ()
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)
-    given = model
     model, traced = trace_stage(model, detection, settings, stages, workers)
     outlines = find_outlines(model.views, detection.graphs, traced.edges) if grids else None
     detection.graphs.release()
@@ -116,6 +118,16 @@ def find_edges(
     if textures:
         patches = patch_stage(model, traced, textures.taken, settings, stages)
     return Found(model, traced, curves, background, faces, patches, pictures)
+
+
+def lens_stage(model: Model, settings: PipelineOptions, stages: Stages) -> Model:
+    """Refine the distortion of lenses and with it the poses, if held-out SfM points fit better."""
+    if not settings.refine_poses or not any(map(has_one_coefficient, model.views)):
+        return model
+    with stages.stage("lenses") as stage:
+        refined, counts = refine_distortion(model, settings.bundle_adjustment, settings.random_seed)
+        stage.counts = plain_counts(counts)
+    return refined
 
 
 def background_or_sky(

@@ -1,1 +1,1 @@
-"""Refinement of poses on SfM points and edges together."""
+"""Refinement of lenses and poses, on SfM points and edges."""

@@ -60,6 +60,11 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
             f"{counted(detect['edge_pixels'], 'pixel')}"
         )
     texts["Points"] = counted(read["points3D"], "SfM point")
+    if (lenses := counts.get("lenses", {})) and lenses["refined"]:
+        texts["Lenses"] = (
+            "second coefficient of distortion refined: held-out SfM points fit "
+            f"{lenses['held_out_gain']:.0%} better"
+        )
     if "held_out_gain" in (poses := counts.get("trace", {}).get("poses", {})):
         texts["Poses"] = poses_text(poses)
     if write is not None:
