@@ -32,9 +32,7 @@ def adjusted(model: Model, *, second: bool) -> Model:
         model: posed views and points; not changed.
         second: whether the cameras become RADIAL ones.
     """
-    found = pycolmap.Reconstruction(model.reconstruction)
-    for point3D_id in set(found.points3D) - set(model.point3D_ids.tolist()):
-        found.delete_point3D(point3D_id)
+    found = reconstruction_of(model)
     config = pycolmap.BundleAdjustmentConfig()
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     for view in model.views:
@@ -56,6 +54,22 @@ def adjusted(model: Model, *, second: bool) -> Model:
         points3D_xyz=np.array([found.points3D[i].xyz for i in model.point3D_ids.tolist()]),
         reconstruction=found,
     )
+
+
+def reconstruction_of(model: Model) -> Any:
+    """A copy of the reconstruction with a model's points and what its views observe of them.
+
+    Bundle adjustment would hold points that other images observe.
+    """
+    found = pycolmap.Reconstruction(model.reconstruction)
+    for point3D_id in set(found.points3D) - set(model.point3D_ids.tolist()):
+        found.delete_point3D(point3D_id)
+    views = {view.image_id for view in model.views}
+    for image in found.images.values():
+        if image.image_id not in views:
+            for index in image.get_observation_point2D_idxs():
+                found.delete_observation(image.image_id, index)
+    return found
 
 
 def with_lenses_of(model: Model, other: Model) -> Model:
@@ -87,7 +101,7 @@ def motions_between(model: Model, adjusted: Model) -> FloatArray:
     away = lengths_of(before - model.camera_centers.mean(axis=0))
     used = np.ones(len(before), bool)
     for _ in range(2):
-        similarity = pycolmap.estimate_sim3d(after[used], before[used])
+        similarity = pycolmap.estimate_sim3d(after[used], before[used]) or pycolmap.Sim3d()
         moved = after @ similarity.matrix()[:, :3].T + similarity.matrix()[:, 3]
         off = lengths_of(moved - before) / away
         used = off <= np.median(off)

@@ -14,12 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.colmap.lenses import adjusted, motions_between, with_lenses_of
+from colmap_edges.colmap.lenses import (
+    adjusted,
+    motions_between,
+    reconstruction_of,
+    with_lenses_of,
+)
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
 from colmap_edges.colmap.writing import moved_model
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.edges3d import AdjustedPoses, Edges3D
+from colmap_edges.core.view import View
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import make_problem, start_state
 from colmap_edges.poses.refine import part_of, with_all_points
@@ -51,14 +57,24 @@ def refine_distortion(
     if not stats["refined"]:
         return model, stats
     refined = adjusted(few_points, second=True)
-    motions = motions_between(few_points, refined)
     lenses = with_lenses_of(model, refined)
+    if not all(map(sees_as_much, lenses.views, model.views)):
+        return model, stats | {"refined": False}
+    motions = motions_between(few_points, refined)
     start = start_state(lenses, lenses.points3D_xyz)
     at = replace(start, rotations=motions[:, :, :3], translations=motions[:, :, 3])
     problem, state = with_all_points(lenses, at, options)
     points = model.points3D_xyz.copy()
     points[problem.indices] = state.points
     return moved_model(lenses, AdjustedPoses(motions=motions, points3D_xyz=points)), stats
+
+
+def sees_as_much(view: View, given: View) -> bool:
+    """Whether the distortion of a view can be undone wherever it can be with its given lens."""
+    sides = (np.linspace(0, side, 17) for side in (view.width, view.height))
+    pixels = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+    seen, before = (np.isfinite(of.undistorted_from_image(pixels)) for of in (view, given))
+    return bool((seen | ~before).all())
 
 
 def held_out_gain(model: Model, options: BundleAdjustmentOptions) -> float:
@@ -69,6 +85,7 @@ def held_out_gain(model: Model, options: BundleAdjustmentOptions) -> float:
     model = best_connected(model)
     if len(model.point3D_ids) < MIN_POINTS:
         return 0.0
+    model = replace(model, reconstruction=reconstruction_of(model))  # is copied in less time
     first = np.arange(len(model.point3D_ids)) % 2 == 0
     costs = np.zeros(2)
     for half in (first, ~first):

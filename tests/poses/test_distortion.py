@@ -5,12 +5,13 @@ import pycolmap
 import pytest
 from scenes import add_point, look_at
 
-from colmap_edges.colmap.lenses import has_one_coefficient
+from colmap_edges.colmap.lenses import adjusted, has_one_coefficient
 from colmap_edges.colmap.model import model_from_reconstruction
 from colmap_edges.evaluation.metrics.poses import TrueCameras, pose_errors
 from colmap_edges.options import BundleAdjustmentOptions, PipelineOptions
 from colmap_edges.pipeline.found import lens_stage
 from colmap_edges.pipeline.read import median_residual
+from colmap_edges.poses import distortion
 from colmap_edges.poses.distortion import refine_distortion
 from colmap_edges.runtime.stages import Stages
 
@@ -138,6 +139,18 @@ def test_a_lens_with_one_coefficient_stays(made):
     assert abs(stats["held_out_gain"]) < 0.01
 
 
+@pytest.mark.parametrize("num_views", [6, 8])
+def test_part_of_the_views_tells_of_the_lens(model, num_views, monkeypatch):
+    monkeypatch.setattr(distortion, "MAX_VIEWS", num_views)
+    part = distortion.best_connected(model)
+    assert len(part.views) == num_views
+    assert distortion.held_out_gain(model, OPTIONS) == pytest.approx(0.75, abs=0.15)
+    # Points move, though views that were left out observe them, too.
+    found = adjusted(part, second=True)
+    assert (found.points3D_xyz != part.points3D_xyz).any(axis=1).all()
+    np.testing.assert_allclose(found.views[0].camera.params[3:], COEFFICIENTS, atol=2e-3)
+
+
 def test_each_camera_has_its_lens():
     model = model_from_reconstruction(mapped(street(COEFFICIENTS, num_cameras=3)))
     refined, _ = refine_distortion(model, OPTIONS)
@@ -173,6 +186,21 @@ def test_outliers_do_no_harm(model):
     refined, stats = refine_distortion(model_from_reconstruction(spoiled), OPTIONS)
     assert stats["refined"]
     np.testing.assert_allclose(refined.views[0].camera.params[3:], COEFFICIENTS, atol=2e-3)
+
+
+def test_a_lens_that_folds_within_the_image_is_not_taken(model, monkeypatch):
+    def folding(few, *, second):
+        found = adjusted(few, second=second)
+        if second:
+            for view in found.views:
+                view.camera.params = [*view.camera.params[:3], -0.06, -0.6]
+        return found
+
+    monkeypatch.setattr(distortion, "held_out_gain", lambda *_: 1.0)
+    monkeypatch.setattr(distortion, "adjusted", folding)
+    found, stats = refine_distortion(model, OPTIONS)
+    assert found is model
+    assert not stats["refined"]
 
 
 def test_copies_of_images_have_the_lens_of_their_originals(model):
