@@ -68,6 +68,15 @@ def test_outcome_says_in_how_many_images_the_sky_is():
     )
 
 
+def test_outcome_says_whether_lenses_were_refined():
+    stages = {"read": READ, "lenses": {"refined": False, "held_out_gain": 0.01}}
+    assert "Lenses" not in outcome(record(**stages))
+    stages["lenses"] = {"refined": True, "held_out_gain": 0.312}
+    assert outcome(record(**stages))["Lenses"] == (
+        "second coefficient of distortion refined: held-out SfM points fit 31% better"
+    )
+
+
 def test_outcome_names_missing_results():
     read = {**READ, "images_without_poses": 3}
     nothing = {"edges": 0, "edge_points": 0, "length": 0.0, "median_residual_px": None}
