@@ -82,8 +82,7 @@ class PipelineOptions(Options):
     report: bool = option(True, "Write report.html, a page with a 3D viewer", stage="write")
     refine_poses: bool = option(
         True,
-        "Refine SIMPLE_RADIAL cameras on SfM points, and poses on SfM points and edges, if "
-        "held-out points fit better for it",
+        "Refine poses and SIMPLE_RADIAL lenses, if held-out points fit better for it",
         stage="trace",
     )
     masks_are_background: bool = option(
