@@ -43,6 +43,7 @@ def adjusted(model: Model, *, second: bool) -> Model:
         elif second:
             camera.model, camera.params = pycolmap.CameraModelId.RADIAL, [*view.camera.params, 0.0]
     options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_sensor_from_rig=False)
+    options.ceres.use_gpu = False
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.solver_options.num_threads = 1  # more would add in another order each time
     options.ceres.solver_options.function_tolerance = TOLERANCE
