@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.colmap.model import Model, load_model, model_from_reconstruction
+from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
@@ -28,7 +28,7 @@ def split_points(model: Model) -> tuple[Model, Model]:
     return model.selected(chosen), model.selected(~chosen)
 
 
-def split_half_errors(input_path: Path, edges: Any = None) -> dict[str, Any]:
+def split_half_errors(model: Model, edges: Any = None) -> dict[str, Any]:
     """Mesh half of the SfM points, with `edges` if given, and compare it with the other half.
 
     Returns:
@@ -40,10 +40,10 @@ def split_half_errors(input_path: Path, edges: Any = None) -> dict[str, Any]:
     """
     from colmap_edges.surfaces.mesher import mesh
 
-    model = load_model(input_path)
     if len(model.points3D_xyz) < 20:
         raise ColmapEdgesError(
-            f"{input_path} holds too few points to leave half of them out; 20 are needed"
+            f"the model holds {len(model.points3D_xyz)} points, too few to leave half of them out; "
+            "20 are needed"
         )
     used, left_out = split_points(model)
     result = mesh(used, edges=edges)
@@ -114,14 +114,15 @@ def left_out_view_errors(
             f"{input_path}: {len(model.views)} images are too few to leave out every {every}th; "
             "raise --held_out_views"
         )
-    # Faces and patches, which change no edge, are not asked for here.
-    options = replace(options or PipelineOptions(), use_faces=False, use_patches=False)
+    # Faces and patches, which change no edge, are not asked for here; cameras and poses stay as
+    # those of the left-out images do.
+    asked = {"use_faces": False, "use_patches": False, "refine_poses": False}
+    options = replace(options or PipelineOptions(), **asked)
     reconstruction = without_poses(model, unused)
     result = reconstruct(reconstruction, image_path, options)
     counts = {stage["name"]: stage["counts"] for stage in result.stages}
     found, scale = result.edges, counts["detect"]["image_scale"]
-    used = model_from_reconstruction(reconstruction)
-    surface = mesh(used, edges=found, background=result.background)
+    surface = mesh(result.model, edges=found, background=result.background)
     caster = RayCaster(surface.vertices, surface.faces)
     errors = []
     for view in unused:

@@ -6,8 +6,10 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import colmap_edges
-from colmap_edges.colmap.model import load_model
+from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import held_out, tables
 from colmap_edges.evaluation.edge_errors import evaluate_edges
@@ -114,10 +116,19 @@ def find_mesh(run_path: Path) -> Path:
 def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:
     """Errors of a mesh of half of the points at the other half, without and with the edges.
 
+    Cameras, poses and points are those of the run, which may have refined them.
     The edges were traced with all points; only the mesh is made without the held-out ones.
     """
-    record = {"SfM only": held_out.split_half_errors(input_path)}
-    if (run_path / "edges.json").is_file():
-        found = load_edges(run_path, load_model(input_path))
-        record["with edges"] = held_out.split_half_errors(input_path, found)
+    given = load_model(input_path)
+    found = (run_path / "edges.json").is_file()
+    model = sfm_points_of(run_path, given) if found else given
+    record = {"SfM only": held_out.split_half_errors(model)}
+    if found:
+        record["with edges"] = held_out.split_half_errors(model, load_edges(run_path, model))
     return record
+
+
+def sfm_points_of(run_path: Path, given: Model) -> Model:
+    """The given model as a run refined its cameras, poses and points, without edge points."""
+    model = load_model(run_path / "sparse")
+    return model.selected(np.isin(model.point3D_ids, given.point3D_ids))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from colmap_edges.colmap.model import observation_residuals
+from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.checks import checked
@@ -36,8 +36,9 @@ class EdgeReconstruction:
         contours: view-dependent contours (silhouettes of smooth bodies, reflections) for `mesh`;
             they are not edges and not in `reconstruction`.
         point3D_ids: (N,) ids of the edge points in `reconstruction`; points of one node share one.
-        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; poses and
-            SfM points are refined ones if left-out points fit these better.
+        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; cameras,
+            poses and SfM points are refined ones if left-out points fit these better.
+        model: the same without the edge points, for `mesh`.
         residuals_px: (T,) reprojection error of each observation, pixels.
         background: background rays for `mesh`, of a plain backdrop, of the sky or, with
             `masks_are_background`, of masked pixels; None without a background.
@@ -52,6 +53,7 @@ class EdgeReconstruction:
     contours: Edges3D
     point3D_ids: IntArray
     reconstruction: Any
+    model: Model
     residuals_px: FloatArray
     background: Background | None
     faces: Faces
@@ -116,6 +118,7 @@ def result_of(found: Found, options: PipelineOptions, stages: Stages) -> EdgeRec
         contours=found.traced.contours,
         point3D_ids=ids,
         reconstruction=extended,
+        model=found.model,
         residuals_px=residuals,
         background=found.background,
         faces=found.faces,

@@ -44,6 +44,7 @@ def main(scene: Path, output: Path) -> None:
         keep("sfm", NO_MESH)
     result = colmap_edges.reconstruct(sparse, scene / "images")
     keep("reconstruct")
+    sparse = getattr(result, "model", sparse)  # earlier versions have none
     curves = {"contours": result.contours, "background": result.background}
     keep("edges", colmap_edges.mesh(sparse, result.edges, **curves))
     curves["faces"] = result.faces

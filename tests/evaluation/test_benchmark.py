@@ -333,7 +333,7 @@ def test_missing_reference_is_an_error_before_meshing(root, sparse, tmp_path, mo
 
 @pytest.mark.usefixtures("mesher")
 def test_half_of_the_points_judges_the_mesh_of_the_other(sparse):
-    errors = held_out.split_half_errors(sparse)
+    errors = held_out.split_half_errors(load_model(sparse))
     assert errors["absolute"]["median"] < 0.15
     assert errors["absolute"]["coverage"] > 0.9
 
