@@ -26,7 +26,8 @@ def has_one_coefficient(view: View) -> bool:
 def adjusted(model: Model, *, second: bool) -> Model:
     """The model with poses, points and SIMPLE_RADIAL cameras adjusted together.
 
-    Other cameras stay, and so do sensors in their rigs. Coordinates drift; see `in_place_of`.
+    Other cameras stay, and so do sensors in their rigs. Coordinates drift; see
+    `motions_between`.
 
     Args:
         model: posed views and points; not changed.
@@ -91,14 +92,14 @@ def take_lens(camera: Any, like: Any) -> None:
     camera.model, camera.params = like.model, like.params
 
 
-def motions_between(model: Model, adjusted: Model) -> FloatArray:
+def motions_between(model: Model, other: Model) -> FloatArray:
     """(F, 3, 4) motions of the model's frames, by ascending id, to the poses of an adjusted one.
 
     The adjusted model, with the same points, is turned, moved and scaled first, so that the half of
     the points that then move least, relative to their distances from the cameras, stay in the mean.
     Rigs of several sensors keep their scale.
     """
-    before, after = model.points3D_xyz, adjusted.points3D_xyz
+    before, after = model.points3D_xyz, other.points3D_xyz
     away = lengths_of(before - model.camera_centers.mean(axis=0))
     used = np.ones(len(before), bool)
     for _ in range(2):
@@ -113,7 +114,7 @@ def motions_between(model: Model, adjusted: Model) -> FloatArray:
     frames = np.unique(frames_of_views(model)).tolist()
     old, new = (
         np.array([of.reconstruction.frames[frame].rig_from_world.matrix() for frame in frames])
-        for of in (model, adjusted)
+        for of in (model, other)
     )
     turned = new[:, :, :3] @ turn.T
     shifted = scale * new[:, :, 3] - turned @ shift

@@ -28,8 +28,13 @@ def split_points(model: Model) -> tuple[Model, Model]:
     return model.selected(chosen), model.selected(~chosen)
 
 
-def split_half_errors(model: Model, edges: Any = None) -> dict[str, Any]:
+def split_half_errors(model: Model, edges: Any = None, where: str = "the model") -> dict[str, Any]:
     """Mesh half of the SfM points, with `edges` if given, and compare it with the other half.
+
+    Args:
+        model: the model.
+        edges: edges that the mesh follows.
+        where: name of the model, for messages.
 
     Returns:
         Statistics of the depth errors at the observations of the other half, absolute (world
@@ -42,8 +47,7 @@ def split_half_errors(model: Model, edges: Any = None) -> dict[str, Any]:
 
     if len(model.points3D_xyz) < 20:
         raise ColmapEdgesError(
-            f"the model holds {len(model.points3D_xyz)} points, too few to leave half of them out; "
-            "20 are needed"
+            f"{where} holds too few points to leave half of them out; 20 are needed"
         )
     used, left_out = split_points(model)
     result = mesh(used, edges=edges)

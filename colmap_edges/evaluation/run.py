@@ -120,11 +120,12 @@ def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:
     The edges were traced with all points; only the mesh is made without the held-out ones.
     """
     given = load_model(input_path)
-    found = (run_path / "edges.json").is_file()
-    model = sfm_points_of(run_path, given) if found else given
-    record = {"SfM only": held_out.split_half_errors(model)}
-    if found:
-        record["with edges"] = held_out.split_half_errors(model, load_edges(run_path, model))
+    has_edges = (run_path / "edges.json").is_file()
+    model, where = sfm_points_of(run_path, given) if has_edges else given, str(input_path)
+    record = {"SfM only": held_out.split_half_errors(model, where=where)}
+    if has_edges:
+        edges = load_edges(run_path, model)
+        record["with edges"] = held_out.split_half_errors(model, edges, where)
     return record
 
 

@@ -24,11 +24,11 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
 from colmap_edges.colmap.writing import moved_model
 from colmap_edges.core.arrays import FloatArray
-from colmap_edges.core.edges3d import AdjustedPoses, Edges3D
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import make_problem, start_state
-from colmap_edges.poses.refine import part_of, with_all_points
+from colmap_edges.poses.refine import part_of, poses_of, with_all_points
 from colmap_edges.poses.solver import Noise, minimize
 
 MIN_POINTS = 100  # fewer do not tell lenses from noise
@@ -63,10 +63,7 @@ def refine_distortion(
     motions = motions_between(few_points, refined)
     start = start_state(lenses, lenses.points3D_xyz)
     at = replace(start, rotations=motions[:, :, :3], translations=motions[:, :, 3])
-    problem, state = with_all_points(lenses, at, options)
-    points = model.points3D_xyz.copy()
-    points[problem.indices] = state.points
-    return moved_model(lenses, AdjustedPoses(motions=motions, points3D_xyz=points)), stats
+    return moved_model(lenses, poses_of(lenses, *with_all_points(lenses, at, options))), stats
 
 
 def sees_as_much(view: View, given: View) -> bool:
