@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from colmap_edges.colmap.model import Model, frames_of_views, view_from_image
+from colmap_edges.colmap.model import Model, frames_of_views
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.polylines import lengths_of
 from colmap_edges.core.view import View
@@ -49,13 +49,8 @@ def adjusted(model: Model, *, second: bool) -> Model:
     options.ceres.solver_options.num_threads = 1  # more would add in another order each time
     options.ceres.solver_options.function_tolerance = TOLERANCE
     pycolmap.create_default_bundle_adjuster(options, config, found).solve()
-    images = [found.images[view.image_id] for view in model.views]
-    return replace(
-        model,
-        views=tuple(view_from_image(i, v.scale) for i, v in zip(images, model.views, strict=True)),
-        points3D_xyz=np.array([found.points3D[i].xyz for i in model.point3D_ids.tolist()]),
-        reconstruction=found,
-    )
+    points = np.array([found.points3D[i].xyz for i in model.point3D_ids.tolist()])
+    return replace(model.with_reconstruction(found), points3D_xyz=points)
 
 
 def reconstruction_of(model: Model) -> Any:
@@ -82,9 +77,7 @@ def with_lenses_of(model: Model, other: Model) -> Model:
     for copy, original in model.copies:
         pair = (changed.find_image_with_name(name).camera for name in (copy, original))
         take_lens(*pair)
-    cameras = (changed.cameras[view.camera.camera_id] for view in model.views)
-    views = tuple(replace(v, camera=c) for v, c in zip(model.views, cameras, strict=True))
-    return replace(model, views=views, reconstruction=changed)
+    return model.with_reconstruction(changed)
 
 
 def take_lens(camera: Any, like: Any) -> None:

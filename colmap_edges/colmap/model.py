@@ -118,6 +118,12 @@ class Model:
         views = tuple(self.views[index] for index in kept)
         return replace(model, views=views, track_views=numbers[model.track_views])
 
+    def with_reconstruction(self, changed: Any) -> Model:
+        """The model with the cameras and poses of a changed copy of `reconstruction`."""
+        pairs = ((changed.images[view.image_id], view.scale) for view in self.views)
+        views = tuple(view_from_image(image, scale) for image, scale in pairs)
+        return replace(self, views=views, reconstruction=changed)
+
     @cached_property
     def track_points(self) -> IntArray:
         """(T,) point index of each observation."""

@@ -18,7 +18,6 @@ from colmap_edges.colmap.model import (
     camera_parameter_counts,
     frames_of_views,
     observation_residuals,
-    view_from_image,
 )
 from colmap_edges.colmap.text_files import check_text_files
 from colmap_edges.core.arrays import (
@@ -55,13 +54,7 @@ def moved_model(model: Model, poses: AdjustedPoses) -> Model:
     for point3D_id, xyz in zip(model.point3D_ids, poses.points3D_xyz, strict=True):
         moved.points3D[point3D_id].xyz = xyz
     moved.update_point_3d_errors()
-    images = [moved.images[view.image_id] for view in model.views]
-    return replace(
-        model,
-        views=tuple(view_from_image(i, v.scale) for i, v in zip(images, model.views, strict=True)),
-        points3D_xyz=poses.points3D_xyz,
-        reconstruction=moved,
-    )
+    return replace(model.with_reconstruction(moved), points3D_xyz=poses.points3D_xyz)
 
 
 def write_model(
