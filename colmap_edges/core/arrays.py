@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, TypeVar, get_type_hints
 
@@ -17,6 +18,7 @@ Int32Array = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
 Record = TypeVar("Record")
+Ragged = TypeVar("Ragged", bound="RaggedTable")
 Picture = NDArray[np.uint8]  # (H, W) intensities or (H, W, 3) colours
 
 
@@ -33,6 +35,33 @@ def joined_tables(parts: Sequence[Record]) -> Record:
     """The items of all tables of arrays, one after the other; at least one table."""
     names = [of.name for of in fields(parts[0])]  # type: ignore[arg-type]
     return type(parts[0])(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
+
+
+@dataclass(frozen=True, kw_only=True)
+class RaggedTable:
+    """Rows of different lengths: (n + 1,) `offsets`, and further arrays with an item an entry."""
+
+    offsets: IntArray
+
+    @property
+    def lengths(self) -> IntArray:
+        """(n,) number of entries of each row."""
+        return np.diff(self.offsets)
+
+    @cached_property
+    def owners(self) -> IntArray:
+        """(N,) row of each entry."""
+        return owners_of(self.offsets)
+
+    def select(self: Ragged, rows: IntArray) -> Ragged:
+        """The (m,) rows of these indices, in their order."""
+        return self.cut(entries_of(self.offsets, rows), self.lengths[rows])
+
+    def cut(self: Ragged, entries: IntArray, lengths: IntArray) -> Ragged:
+        """The entries of these indices, cut into rows of (m,) lengths."""
+        names = [of.name for of in fields(self) if of.name != "offsets"]
+        chosen = {name: getattr(self, name).take(entries, axis=0) for name in names}
+        return replace(self, offsets=offsets_of(lengths), **chosen)
 
 
 def offsets_of(lengths: IntArray) -> IntArray:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
-from typing import Annotated, Any, TypeVar
+from dataclasses import dataclass, fields
+from typing import Annotated, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import (
     BoolArray,
@@ -16,10 +14,10 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
-    entries_of,
+    RaggedTable,
+    joined_offsets,
     offsets_of,
     order_of,
-    owners_of,
 )
 from colmap_edges.core.checks import (
     MAX_INTEGER,
@@ -34,7 +32,7 @@ Kind = TypeVar("Kind", bound="ChainObservations")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChainObservations:
+class ChainObservations(RaggedTable):
     """Positions on chains at which points are observed, in CSR arrays by point.
 
     Tracing uses these; `edges2d.edge_index.look_up` converts them to `Observations` in the end.
@@ -61,19 +59,19 @@ class ChainObservations:
     def concatenated(cls: type[Kind], parts: Sequence[Kind]) -> Kind:
         """The concatenated observations of all parts."""
         parts = parts or [cls.none()]
-        lengths = np.concatenate([part.counts for part in parts])
-        arrays = {n: np.concatenate([getattr(part, n) for part in parts]) for n in cls._rows()}
-        return cls(offsets=offsets_of(lengths), **arrays)
+        names = [entry.name for entry in fields(cls) if entry.name != "offsets"]
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return cls(offsets=joined_offsets([part.offsets for part in parts]), **arrays)
 
     @property
     def counts(self) -> IntArray:
         """(N,) number of observations of each point."""
-        return np.diff(self.offsets)
+        return self.lengths
 
-    @cached_property
+    @property
     def points(self) -> IntArray:
         """(T,) point of each observation."""
-        return owners_of(self.offsets)
+        return self.owners
 
     @classmethod
     def of_table(cls: type[Kind], views: IntArray, positions: FloatArray) -> Kind:
@@ -86,15 +84,10 @@ class ChainObservations:
             positions=positions[known],
         )
 
-    def select(self: Kind, points: IntArray) -> Kind:
-        """The observations of (n,) selected points, in their order."""
-        rows = entries_of(self.offsets, points)
-        return self._taken(offsets_of(self.counts[points]), rows)
-
     def keep(self: Kind, mask: BoolArray) -> Kind:
         """The observations where (T,) `mask` is true; all points stay."""
         left = offsets_of(mask.astype(np.int64))
-        return self._taken(left[self.offsets], mask)
+        return self.cut(np.flatnonzero(mask), np.diff(left[self.offsets]))
 
     def by_view(self) -> Iterator[tuple[int, IntArray]]:
         """Observing views, ascending, each with the ascending rows of its observations."""
@@ -103,15 +96,6 @@ class ChainObservations:
         order = order_of(self.views, len(counts))
         parts = np.split(order, np.cumsum(counts[present]))[:-1]
         return zip(present.tolist(), parts, strict=True)
-
-    def _taken(self: Kind, offsets: IntArray, rows: NDArray[Any]) -> Kind:
-        taken = {name: getattr(self, name)[rows] for name in self._rows()}
-        return replace(self, offsets=offsets, **taken)
-
-    @classmethod
-    def _rows(cls) -> list[str]:
-        """Names of the arrays with one row per observation."""
-        return [entry.name for entry in fields(cls) if entry.name != "offsets"]
 
 
 @dataclass(frozen=True, kw_only=True)

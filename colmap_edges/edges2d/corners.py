@@ -92,7 +92,7 @@ def cut(chains: Chains, closed: BoolArray, corners: IntArray) -> tuple[Chains, B
     counts = ends - begins
     ranks = np.repeat(begins - starts[own], counts) + ranks_of(counts)
     order = np.repeat(starts[own], counts) + ranks % np.repeat(lengths[own], counts)
-    pieces = chains.select(order, counts)
+    pieces = chains.cut(order, counts)
     # A corner has the normal and sides of the piece before it; the next piece has its own.
     new = pieces.offsets[:-1][np.isin(begins, corners)]
     pieces.normals[new], pieces.sides[new] = pieces.normals[new + 1], pieces.sides[new + 1]

@@ -20,6 +20,7 @@ from colmap_edges.core.arrays import (
     FloatArray,
     IntArray,
     Picture,
+    RaggedTable,
     offsets_of,
 )
 from colmap_edges.edges2d.blur import blur_of_edges
@@ -32,7 +33,7 @@ LIGHT_STEPS = 1 << 16  # fine enough to restore dark intensities
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chains:
+class Chains(RaggedTable):
     """Edge chains of one image: 8-connected pixel sequences at sub-pixel positions.
 
     Attributes:
@@ -45,16 +46,6 @@ class Chains:
     points: FloatArray
     normals: FloatArray
     sides: ByteArray
-    offsets: IntArray
-
-    def select(self, rows: IntArray, lengths: IntArray) -> Chains:
-        """The points of the given rows, cut into chains of the given lengths."""
-        return Chains(
-            points=self.points.take(rows, axis=0),
-            normals=self.normals.take(rows, axis=0),
-            sides=self.sides.take(rows, axis=0),
-            offsets=offsets_of(lengths),
-        )
 
 
 def detect_chains(

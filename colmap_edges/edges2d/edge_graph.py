@@ -105,7 +105,7 @@ def drop_chains(chains: Chains, usable: BoolArray) -> tuple[Chains, FloatArray]:
     bad = np.bincount(ids[~usable], minlength=len(chains.offsets) - 1) > 0
     keep = ~bad[ids]
     lengths = np.diff(chains.offsets)[~bad]
-    return chains.select(np.flatnonzero(keep), lengths), chains.points[~keep]
+    return chains.cut(np.flatnonzero(keep), lengths), chains.points[~keep]
 
 
 def join_chains(
@@ -122,7 +122,7 @@ def join_chains(
     partner = match_ends(chains, max_gap_points, max_angle_deg)
     paths = walk_joined(partner)
     order, lengths = points_along(paths, chains.offsets[:-1], chains.offsets[1:])
-    return chains.select(order, lengths), np.array([closed for _, closed in paths], bool)
+    return chains.cut(order, lengths), np.array([closed for _, closed in paths], bool)
 
 
 def match_ends(chains: Chains, max_gap_points: float, max_angle_deg: float) -> IntArray:

@@ -31,4 +31,4 @@ def pieces_of(chains: Chains, seen: BoolArray, min_length_px: int) -> Chains:
     starts, ends = bounds[:-1], bounds[1:]
     kept = seen[starts] & (ends - starts >= min_length_px)
     starts, ends = starts[kept], ends[kept]
-    return chains.select(ranges_of(starts, ends), ends - starts)
+    return chains.cut(ranges_of(starts, ends), ends - starts)

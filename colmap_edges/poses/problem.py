@@ -15,12 +15,11 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model, frames_of_views
 from colmap_edges.core.arrays import (
-    BoolArray,
     FloatArray,
     Int32Array,
     IntArray,
+    RaggedTable,
     offsets_of,
-    owners_of,
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents
@@ -31,7 +30,7 @@ SFM, EDGE = 0, 1  # kinds of points
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measurements:
+class Measurements(RaggedTable):
     """Observations in CSR arrays by point; every point has at least one.
 
     Attributes:
@@ -41,26 +40,9 @@ class Measurements:
         normals: (N, 2) unit directions in which edge points are measured; 0 for SfM points.
     """
 
-    offsets: IntArray
     views: Int32Array
     pixels: FloatArray
     normals: FloatArray
-
-    @property
-    def owners(self) -> IntArray:
-        """(N,) int64 point of each observation."""
-        return owners_of(self.offsets)
-
-    def selected(self, chosen: BoolArray) -> Measurements:
-        """The measurements of the chosen (P,) points."""
-        counts = np.diff(self.offsets)
-        keep = np.repeat(chosen, counts)
-        return Measurements(
-            offsets=offsets_of(counts[chosen]),
-            views=self.views[keep],
-            pixels=self.pixels[keep],
-            normals=self.normals[keep],
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,7 +21,7 @@ def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem,
     """The problem restricted to the chosen (P,) points."""
     smaller = replace(
         problem,
-        measured=problem.measured.selected(chosen),
+        measured=problem.measured.select(np.flatnonzero(chosen)),
         kinds=problem.kinds[chosen],
         tangents=problem.tangents[chosen],
         groups=problem.groups[chosen],

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.core.arrays import FloatArray, IntArray, entries_of, offsets_of, owners_of
+from colmap_edges.core.arrays import FloatArray, IntArray, RaggedTable
 from colmap_edges.core.polylines import curve_tangents
 
 
 @dataclass(frozen=True, kw_only=True)
-class Curves:
+class Curves(RaggedTable):
     """Curves on chains of one reference view.
 
     Attributes:
@@ -26,7 +26,6 @@ class Curves:
     undistorted: FloatArray
     inverse_depths: FloatArray
     indices: IntArray
-    offsets: IntArray
     sides: NDArray[np.int8]
 
     @property
@@ -39,18 +38,7 @@ class Curves:
     @property
     def curve_ids(self) -> IntArray:
         """(N,) curve of each point."""
-        return owners_of(self.offsets)
-
-    def select(self, curves: IntArray) -> tuple[IntArray, Curves]:
-        """The indices of the points of some curves, ascending, and only these curves."""
-        rows = entries_of(self.offsets, curves)
-        return rows, Curves(
-            undistorted=self.undistorted[rows],
-            inverse_depths=self.inverse_depths[rows],
-            indices=self.indices[rows],
-            offsets=offsets_of(np.diff(self.offsets)[curves]),
-            sides=self.sides[rows],
-        )
+        return self.owners
 
 
 def replace_depths(curves: Curves, inverse_depths: FloatArray) -> Curves:

@@ -8,7 +8,7 @@ neighbours by depth and radius together (Cipolla, Blake 1992; Vaillant, Faugeras
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from colmap_edges.core.arrays import (
     FloatArray,
     IntArray,
     joined_offsets,
+    joined_tables,
     offsets_of,
     owners_of,
     ranks_of,
@@ -65,12 +66,6 @@ class Envelopes:
     colors: ByteArray
     lengths: IntArray
 
-    @classmethod
-    def concatenated(cls, parts: list[Envelopes]) -> Envelopes:
-        """The outlines of all parts; there is at least one part."""
-        names = [entry.name for entry in fields(cls)]
-        return cls(**{name: np.concatenate([getattr(of, name) for of in parts]) for name in names})
-
 
 def find_envelopes(
     given: TracingInput, near: Neighborhood, options: ChainDepthOptions, workers: Workers
@@ -89,8 +84,8 @@ def find_envelopes(
             part = given.part(view, given.neighbors[view], workers)
             yield envelopes_of, (part, view, near.ranges[view], options, workers.threads_per_view)
 
-    found = run_all(workers.views, calls(), lambda: None, workers.check)
-    return Envelopes.concatenated(found)
+    found: list[Envelopes] = run_all(workers.views, calls(), check=workers.check)
+    return joined_tables(found)
 
 
 def envelopes_of(

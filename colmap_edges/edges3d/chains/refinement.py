@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from colmap_edges.core.arrays import Float32Array, FloatArray, IntArray, owners_of
+from colmap_edges.core.arrays import Float32Array, FloatArray, IntArray, entries_of, owners_of
 from colmap_edges.core.view import View
 from colmap_edges.edges3d.chains.curves import Curves, replace_depths
 from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
@@ -214,7 +214,7 @@ def align_side_gray(
     weak = np.flatnonzero(across < WELL_ACROSS * every)
     if len(weak) == 0:
         return curves, positions, information
-    rows, chosen = curves.select(weak)
+    rows, chosen = entries_of(curves.offsets, weak), curves.select(weak)
     depths, positions = curves.inverse_depths.copy(), positions.copy()
     moved, positions[rows], information[rows] = aligned(chosen, positions[rows], observers)
     depths[rows] = moved.inverse_depths

@@ -6,11 +6,11 @@ lines on both sides, it has one: its radius.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Table
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Table, joined_tables
 from colmap_edges.core.curves3d import ARC, LINE
 from colmap_edges.core.polylines import nearest_on_lines, unit
 from colmap_edges.edges3d.curves.joints import MAX_POINTS_BETWEEN
@@ -149,7 +149,5 @@ def inserted(
         costs=costs[which],
         splines=np.full(len(which), None),
     )
-    both = [curves, fillets]
     order = np.argsort(np.append(np.arange(len(curves.kinds)), found.left + 0.5), kind="stable")
-    arrays = {of.name: np.concatenate([getattr(x, of.name) for x in both]) for of in fields(curves)}
-    return SelectedCurves(**arrays).select(order)
+    return joined_tables([curves, fillets]).select(order)

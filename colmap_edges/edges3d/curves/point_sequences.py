@@ -7,17 +7,16 @@ outliers.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of, owners_of, ranges_of
+from colmap_edges.core.arrays import FloatArray, RaggedTable
 
 OUTLIER_SIGMAS = 3.0  # distance from a curve, in standard deviations, of outliers
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointSequences:
+class PointSequences(RaggedTable):
     """Weighted sequences of points, in CSR arrays.
 
     Attributes:
@@ -28,32 +27,11 @@ class PointSequences:
 
     points: FloatArray
     weights: FloatArray
-    offsets: IntArray
 
     @property
     def size(self) -> int:
         """Number of sequences."""
         return len(self.offsets) - 1
-
-    @property
-    def lengths(self) -> IntArray:
-        """(S,) numbers of points."""
-        return np.diff(self.offsets)
-
-    @cached_property
-    def owners(self) -> IntArray:
-        """(N,) sequence of each point."""
-        return owners_of(self.offsets)
-
-    def select(self, rows: IntArray) -> PointSequences:
-        """The selected sequences."""
-        first, end = self.offsets[:-1][rows], self.offsets[1:][rows]
-        points = ranges_of(first, end)
-        return PointSequences(
-            points=self.points[points],
-            weights=self.weights[points],
-            offsets=offsets_of(end - first),
-        )
 
     def sums(self, values: FloatArray) -> FloatArray:
         """(S, ...) sums of (N, ...) values per sequence; no sequence may be empty."""

@@ -12,6 +12,7 @@ from colmap_edges.core.arrays import (
     Int32Array,
     IntArray,
     Table,
+    joined_tables,
     offsets_of,
 )
 from colmap_edges.core.edges3d import Edges3D, mean_colors
@@ -91,12 +92,8 @@ def observations_of(edges: Edges3D, chains: IndexedViews) -> ObservedPoints:
 
 def merge(*parts: ObservedPoints) -> ObservedPoints:
     """Merge lists, sorted by point and view."""
-    order = np.lexsort(
-        [np.concatenate([getattr(p, n) for p in parts]) for n in ("views", "points")]
-    )
-    return ObservedPoints(
-        **{n: np.concatenate([getattr(p, n) for p in parts])[order] for n in vars(parts[0])}
-    )
+    joined = joined_tables(parts)
+    return joined.select(np.lexsort((joined.views, joined.points)))
 
 
 def track_offsets(points: IntArray, num_points: int) -> IntArray:
