@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields
+from collections.abc import Sequence
+from dataclasses import asdict, fields, replace
 from functools import partial
 from typing import Any
 
@@ -20,7 +20,7 @@ from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
 from colmap_edges.runtime.cache import Arrays, key_of
-from colmap_edges.runtime.executors import Workers, open_workers, thread_count
+from colmap_edges.runtime.executors import Workers, open_workers
 from colmap_edges.runtime.stages import Stages, plain_counts
 
 
@@ -48,7 +48,8 @@ def trace_stage(
         read = partial(traced_from, model=model, options=options)
         kept = cache.load("edges", key, read) if cache else None
         if kept is None:
-            traced, stats = trace(model, detection.graphs, options, stage.advance, workers)
+            workers = replace(workers, advance=stage.advance)
+            traced, stats = trace(model, detection.graphs, options, workers)
             details = plain_counts(stats)
             if cache:
                 text = np.array(json.dumps(details))
@@ -102,21 +103,16 @@ def median_residuals(views: Sequence[View], points: Edges3D | Nodes) -> FloatArr
 
 
 def trace(
-    model: Model,
-    graphs: Graphs,
-    options: PipelineOptions,
-    advance: Callable[[], None],
-    workers: Workers,
+    model: Model, graphs: Graphs, options: PipelineOptions, workers: Workers
 ) -> tuple[TracedEdges, dict[str, Any]]:
     """Trace 3D edges by the method chosen in the options."""
-    threads = thread_count(options)
     if options.tracing.method == "paper":
         from colmap_edges.edges3d.paper.tracing import trace_edges_paper
 
-        return trace_edges_paper(thinned(model, options.random_seed), graphs, options, threads)
+        return trace_edges_paper(thinned(model, options.random_seed), graphs, options)
     from colmap_edges.edges3d.chains.tracing import trace_edges
 
-    return trace_edges(model, graphs, options, threads, advance, workers)
+    return trace_edges(model, graphs, options, workers)
 
 
 def key_of_edges(model: Model, graph_keys: Sequence[str], options: PipelineOptions) -> str:

@@ -49,6 +49,7 @@ class Workers:
         threads_per_view: number of threads that each of these tasks uses.
         remote: whether tasks run in other processes, which read edge graphs from the cache.
         cache: cache of earlier results, if any.
+        advance: called after each task of a view.
         check: raises an error if results can no longer come; called while none come.
     """
 
@@ -58,6 +59,7 @@ class Workers:
     threads_per_view: int
     remote: bool = False
     cache: Cache | None = None
+    advance: Callable[[], None] = lambda: None
     check: Callable[[], Any] = lambda: None
 
 

@@ -91,9 +91,9 @@ def test_one_graph_larger_than_the_memory_is_held():
 
 def test_edges_do_not_depend_on_the_memory_limit():
     graphs = graphs_of_views()
-    model = known.model_of(VIEWS)
-    expected, _ = trace_edges(model, Graphs.of(graphs), PipelineOptions(refine_poses=False), 1)
-    found, _ = trace_edges(model, Graphs.of(graphs, 1.0), PipelineOptions(refine_poses=False), 1)
+    model, options = known.model_of(VIEWS), PipelineOptions(refine_poses=False, num_threads=1)
+    expected, _ = trace_edges(model, Graphs.of(graphs), options)
+    found, _ = trace_edges(model, Graphs.of(graphs, 1.0), options)
     assert expected.edges.num_edges > 0
     arrays = flattened(found)
     for name, value in flattened(expected).items():

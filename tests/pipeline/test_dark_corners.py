@@ -17,6 +17,7 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions
 from colmap_edges.surfaces.mesher import mesh
 
+OPTIONS = PipelineOptions(refine_poses=False, num_threads=1)
 TRACERS = {"chains": trace_edges, "paper": trace_edges_paper}
 CURVES = (
     known.circle((0, 0, 0), 0.8),
@@ -90,7 +91,7 @@ def points_on_curves(count=40):
 def trace(views, method, points=None):
     model = known.model_of(views, points_on_curves() if points is None else points)
     graphs = Graphs.of([known.graph_of(view, CURVES) for view in views])
-    found, _ = TRACERS[method](model, graphs, PipelineOptions(refine_poses=False), 1)
+    found, _ = TRACERS[method](model, graphs, OPTIONS)
     return model, found.edges
 
 
@@ -175,7 +176,7 @@ def test_points_behind_cameras_change_no_truth(method):
         ),
     )
     graphs = Graphs.of([known.graph_of(view, CURVES) for view in views])
-    edges = TRACERS[method](model, graphs, PipelineOptions(refine_poses=False), 1)[0].edges
+    edges = TRACERS[method](model, graphs, OPTIONS)[0].edges
     check_edges(edges)
     assert np.mean(distances(edges) < 2 * PIXEL) > 0.95
     assert edges.num_points > 0.5 * expected.num_points
@@ -213,7 +214,7 @@ def test_results_go_with_the_world(name, method):
     model, expected, plain = traced_ring(method)
     moved = similar(model, rotation, scale, np.array(offset, float))
     graphs = Graphs.of([known.graph_of(view, CURVES) for view in views])
-    edges = TRACERS[method](moved, graphs, PipelineOptions(refine_poses=False), 1)[0].edges
+    edges = TRACERS[method](moved, graphs, OPTIONS)[0].edges
     back = (edges.points - offset) @ rotation / scale
     assert abs(edges.num_edges - expected.num_edges) <= 1
     assert edges.num_points == pytest.approx(expected.num_points, rel=0.01)

@@ -8,7 +8,7 @@ along the depths of the first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -52,7 +52,14 @@ from colmap_edges.edges3d.chains.tracing_input import TracingInput, make_input
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
 from colmap_edges.options import BundleAdjustmentOptions, PipelineOptions, of_later_rounds
 from colmap_edges.poses.refine import refine_poses
-from colmap_edges.runtime.executors import Call, Workers, local_workers, run_all, run_scheduled
+from colmap_edges.runtime.executors import (
+    Call,
+    Workers,
+    open_workers,
+    run_all,
+    run_scheduled,
+    thread_count,
+)
 from colmap_edges.runtime.scheduling import Schedule, local_order
 
 
@@ -60,8 +67,6 @@ def trace_edges(
     model: Model,
     graphs: Graphs,
     options: PipelineOptions,
-    num_threads: int,
-    advance: Callable[[], None] = lambda: None,
     workers: Workers | None = None,
 ) -> tuple[TracedEdges, dict[str, Any]]:
     """Reconstruct the 3D edges of a model from the edge graphs of its views.
@@ -70,21 +75,23 @@ def trace_edges(
         model: posed views and optional SfM points.
         graphs: the edge graph of each view.
         options: settings of every step, as `resolved` for the model's scale.
-        num_threads: threads to use; the result does not depend on it.
-        advance: called twice per view and round: after its depths and after its edges.
-        workers: executor of the work on views; by default threads of this process.
+        workers: executor of the work on views, which advances twice per view and round: after its
+            depths and after its edges; by default threads of this process.
 
     Returns:
         The 3D edges with the view-dependent contours, and counts in, kept and dropped by reason.
     """
     if workers is None:
-        with local_workers(num_threads) as workers:
-            return trace_edges(model, graphs, options, num_threads, advance, workers)
+        with open_workers(options) as workers:
+            return trace_edges(model, graphs, options, workers)
     few = thinned(model, options.random_seed)
     near = select_views(few, options.view_selection)
-    whole = with_side_likelihoods(make_input(few, graphs, near), near, options, num_threads)
-    given = (near, options, num_threads, advance, workers)
-    pieces, outlines, few, whole, stats = trace_pieces(model, few, whole, *given)
+    whole, num_threads = make_input(few, graphs, near), thread_count(options)
+    sides = learn_side_likelihoods(
+        whole, near.ranges, options.chain_depth, options.random_seed, num_threads
+    )
+    whole = replace(whole, sides=sides)
+    pieces, outlines, few, whole, stats = trace_pieces(model, few, whole, near, options, workers)
     graphs.trim()
     result, linked = link(whole, pieces, options, num_threads)
     seen = seen_outlines(outlines, result.edges, few, near.observing_views, options, num_threads)
@@ -95,24 +102,12 @@ def trace_edges(
     return replace(result, outlines=seen, poses=pieces.poses), about | stats | linked
 
 
-def with_side_likelihoods(
-    given: TracingInput, near: Neighborhood, options: PipelineOptions, num_threads: int
-) -> TracingInput:
-    """The same input with side likelihoods learned from its views."""
-    learned = learn_side_likelihoods(
-        given, near.ranges, options.chain_depth, options.random_seed, num_threads
-    )
-    return replace(given, sides=learned)
-
-
 def trace_pieces(
     model: Model,
     few: Model,
     whole: TracingInput,
     near: Neighborhood,
     options: PipelineOptions,
-    num_threads: int,
-    advance: Callable[[], None],
     workers: Workers,
 ) -> tuple[TracedEdges, Envelopes, Model, TracingInput, dict[str, Any]]:
     """The pieces of all rounds without duplicates, and the outlines of smooth bodies.
@@ -127,16 +122,14 @@ def trace_pieces(
         whole: the views with their whole edge graphs.
         near: the selected views.
         options: settings of every step.
-        num_threads: threads to use.
-        advance: called after the depths and after the edges of each view.
         workers: executor of the work on views.
 
     Returns:
         The pieces, the outlines, `few` and `whole` with refined poses, and counts.
     """
-    given = (near, options, num_threads, advance, workers)
-    depths = find_depths(whole, near, options, workers, advance)
-    rounds, adjustment = trace_rounds(few, whole, depths, *given), options.bundle_adjustment
+    num_threads, adjustment = thread_count(options), options.bundle_adjustment
+    depths = find_depths(whole, near, options, workers)
+    rounds = trace_rounds(few, whole, depths, near, options, workers)
     for last in rounds:
         if options.refine_poses and are_enough(last[0], len(model.views), adjustment):
             break
@@ -149,7 +142,7 @@ def trace_pieces(
             few = thinned(moved_model(model, poses), options.random_seed)
             whole = replace(whole, views=few.views)
             whole.indexes.clear()
-            rounds = trace_rounds(few, whole, depths, *given)
+            rounds = trace_rounds(few, whole, depths, near, options, workers)
     kept, stats = [last, *rounds][-1]
     rest = replace(what_remains(whole, kept, options.tracing), neighbors=near.later_neighbors)
     outlines = find_envelopes(rest, near, options.chain_depth, workers)
@@ -167,15 +160,14 @@ def trace_rounds(
     depths: Depths,
     near: Neighborhood,
     options: PipelineOptions,
-    num_threads: int,
-    advance: Callable[[], None],
     workers: Workers,
 ) -> Iterator[tuple[FilteredCurves, dict[str, Any]]]:
     """After each round the filtered curves of all so far, and counts; the first has `depths`."""
-    traced, stats = trace_views(whole, depths, options, None, workers, advance)
+    traced, stats = trace_views(whole, depths, options, None, workers)
     # Made again at the end in a hundredth of a round's time, they take half of its memory.
     whole.indexes.clear()
     whole.graphs.trim()
+    num_threads = thread_count(options)
     kept, filter_stats = filter_curves(model, traced, options.tracing, num_threads)
     yield kept, stats | filter_stats
     # Limits come from the first round, whose curves are the most reliable.
@@ -184,8 +176,8 @@ def trace_rounds(
     later = of_later_rounds(options)
     for _ in range(1, options.tracing.num_rounds):
         rest = what_remains(whole, kept, options.tracing)
-        depths = find_depths(rest, near, later, workers, advance)
-        found, more = trace_views(rest, depths, later, limits, workers, advance)
+        depths = find_depths(rest, near, later, workers)
+        found, more = trace_views(rest, depths, later, limits, workers)
         traced += in_whole_graphs(rest, found)
         stats = {name: stats[name] + more[name] for name in stats}
         kept, filter_stats = filter_curves(model, traced, options.tracing, num_threads, limits)
@@ -214,11 +206,7 @@ class Depths:
 
 
 def find_depths(
-    given: TracingInput,
-    near: Neighborhood,
-    options: PipelineOptions,
-    workers: Workers,
-    advance: Callable[[], None],
+    given: TracingInput, near: Neighborhood, options: PipelineOptions, workers: Workers
 ) -> Depths:
     """Depths along the chains of every view."""
     order = local_order([given.neighbors[view] for view in range(len(given.views))])
@@ -230,7 +218,7 @@ def find_depths(
             depth_range, threads = near.ranges[view], workers.threads_per_view
             yield compute_chain_depths, (part, view, depth_range, options.chain_depth, threads)
 
-    found = run_all(workers.views, calls(), advance, workers.check)
+    found = run_all(workers.views, calls(), workers.advance, workers.check)
     depths = [found[place] for place in np.argsort(order)]
     agreeing = {
         view: count_agreeing_views(given, depths, view, options.tracing.max_inconsistency_px)
@@ -249,7 +237,6 @@ def trace_views(
     options: PipelineOptions,
     limits: Limits | None,
     workers: Workers,
-    advance: Callable[[], None],
 ) -> tuple[list[TracedCurves], dict[str, int]]:
     """Trace curves on the chains of every view that earlier ones do not cover, the best view first.
 
@@ -283,7 +270,7 @@ def trace_views(
                 found.observations.select(np.flatnonzero(lasting)),
                 options.tracing.curve_step_points,
             )
-        advance()
+        workers.advance()
 
     needed = [given.observing_views[view] for view in range(len(order))]
     schedule = Schedule(order, needed, given.num_kept(workers))

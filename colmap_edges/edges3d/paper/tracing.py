@@ -25,12 +25,13 @@ from colmap_edges.edges3d.paper.visibility import (
     filter_outliers,
 )
 from colmap_edges.options import PipelineOptions
+from colmap_edges.runtime.executors import thread_count
 
 logger = logging.getLogger(__name__)
 
 
 def trace_edges_paper(
-    model: Model, graphs: Graphs, options: PipelineOptions, num_threads: int = 1
+    model: Model, graphs: Graphs, options: PipelineOptions
 ) -> tuple[TracedEdges, dict[str, Any]]:
     """Reconstruct 3D edges by the paper's method.
 
@@ -39,14 +40,13 @@ def trace_edges_paper(
         graphs: the edge graph of each view.
         options: the settings, as `resolved` for the model's scale; the groups matching,
             correspondence, following, visibility and sampling hold every parameter of the paper.
-        num_threads: threads to use; the result does not depend on it.
 
     Returns:
         3D edges sampled to edge points with tracks, no contours, and counts in, kept and dropped
         by reason.
     """
     whole = [graphs.load(view) for view in range(len(model.views))]
-    chains = index_views(model.views, whole)
+    chains, num_threads = index_views(model.views, whole), thread_count(options)
     sources, stats = pepc_sources(model, chains, options, num_threads)
     edges, stats["starts"] = follow_edges(chains, sources, options.following, num_threads)
     stats["followed"] = {"edges": edges.num_edges, "points": edges.num_points}

@@ -27,6 +27,7 @@ from colmap_edges.edges3d.chains.tracing_input import make_input
 from colmap_edges.edges3d.chains.view_selection import select_views
 from colmap_edges.options import PipelineOptions, TracingOptions
 
+OPTIONS = PipelineOptions(refine_poses=False, num_threads=1)
 VIEWS = known.ring(9)
 FENCE = [known.line((x, -1, 0), (x, 1, 0.2)) for x in np.linspace(-1, 1, 24)]
 BEFORE = known.line((-0.7, -0.9, 0.5), (0.1, 0.9, 0.6))  # few views see it
@@ -42,10 +43,8 @@ def graphs_of_views(seeing):
 
 def points_before(num_rounds, seeing=(3, 5, 7)):
     """Edges of the scene, and which of their points are on the line before the fence."""
-    options = PipelineOptions(refine_poses=False, tracing=TracingOptions(num_rounds=num_rounds))
-    traced, stats = trace_edges(
-        known.model_of(VIEWS), Graphs.of(graphs_of_views(seeing)), options, 1
-    )
+    options = replace(OPTIONS, tracing=TracingOptions(num_rounds=num_rounds))
+    traced, stats = trace_edges(known.model_of(VIEWS), Graphs.of(graphs_of_views(seeing)), options)
     true = BEFORE(np.linspace(0, 1, 4000))
     edges = traced.edges
     return edges, cKDTree(true).query(edges.points)[0] < 0.01, stats
@@ -72,14 +71,10 @@ def test_second_round_finds_what_few_views_see_among_much():
 def test_second_round_stands_alone_where_the_first_finds_nothing():
     tracing = TracingOptions(min_agreeing_views=3)  # of two others at most
     model, graphs = known.model_of(VIEWS[3:6]), Graphs.of(graphs_of_views(())[3:6])
-    nothing, _ = trace_edges(
-        model,
-        graphs,
-        PipelineOptions(refine_poses=False, tracing=replace(tracing, num_rounds=1)),
-        1,
-    )
+    once = replace(OPTIONS, tracing=replace(tracing, num_rounds=1))
+    nothing, _ = trace_edges(model, graphs, once)
     assert nothing.edges.num_points == 0
-    traced, _ = trace_edges(model, graphs, PipelineOptions(refine_poses=False, tracing=tracing), 1)
+    traced, _ = trace_edges(model, graphs, replace(OPTIONS, tracing=tracing))
     assert traced.edges.num_points > 100
 
 

@@ -26,9 +26,8 @@ def traced(curves_of_view, sides_of_view, num_threads=1):
         known.graph_of(view, [*curves_of_view(i), *AROUND], [*sides_of_view(i), *[1] * len(AROUND)])
         for i, view in enumerate(VIEWS)
     ]
-    found, stats = trace_edges(
-        known.model_of(VIEWS), Graphs.of(graphs), PipelineOptions(refine_poses=False), num_threads
-    )
+    options = PipelineOptions(refine_poses=False, num_threads=num_threads)
+    found, stats = trace_edges(known.model_of(VIEWS), Graphs.of(graphs), options)
     return found.edges, stats
 
 

@@ -54,8 +54,9 @@ def traced(curves, strategy, num_threads=1, noise_px=0.0, seed=0):
     options = PipelineOptions(
         correspondence=CorrespondenceOptions(strategy=strategy),
         sampling=SamplingOptions(spacing_px=2.0),
+        num_threads=num_threads,
     )
-    found, stats = trace_edges_paper(model, Graphs.of(graphs), options, num_threads)
+    found, stats = trace_edges_paper(model, Graphs.of(graphs), options)
     return found.edges, stats
 
 
@@ -267,7 +268,7 @@ def test_result_does_not_depend_on_threads():
 
 def test_nothing_in_gives_nothing_out():
     graphs = [graph_of(view, []) for view in VIEWS]
-    found, stats = trace_edges_paper(model_of(VIEWS), Graphs.of(graphs), PipelineOptions(), 1)
+    found, stats = trace_edges_paper(model_of(VIEWS), Graphs.of(graphs), PipelineOptions())
     assert found.edges.num_points == found.contours.num_points == 0
     assert found.edges.num_edges == 0
     assert stats["starts"]["accepted"] == 0
