@@ -29,7 +29,7 @@ from colmap_edges.core.view import View
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import make_problem, start_state
 from colmap_edges.poses.refine import part_of, poses_of, with_all_points
-from colmap_edges.poses.solver import Noise, minimize
+from colmap_edges.poses.solver import Noise, fit_points
 
 MIN_POINTS = 100  # fewer do not tell lenses from noise
 MAX_VIEWS = 50  # views of which points are held out
@@ -109,12 +109,8 @@ def costs_of(points: Model, fits: Sequence[Model], options: BundleAdjustmentOpti
     made = [replace(points, views=fit.views, reconstruction=fit.reconstruction) for fit in fits]
     problems = [make_problem(model, Edges3D.none()) for model in made]
     common = reduce(np.intersect1d, [problem.indices for problem, _ in problems])
-    costs, noise = np.zeros(len(fits)), None
-    for index, (problem, start) in enumerate(problems):
-        problem, state = part_of(problem, start, np.isin(problem.indices, common))
-        if noise is None:
-            noise = Noise.of(problem, state, options)
-            state, _ = minimize(problem, state, noise, options.max_steps, move_poses=False)
-            noise = Noise.of(problem, state, options)
-        costs[index] = minimize(problem, state, noise, options.max_steps, move_poses=False)[1]
-    return costs
+    parts = [part_of(*each, np.isin(each[0].indices, common)) for each in problems]
+    problem, start = parts[0]
+    state, _ = fit_points(problem, start, Noise.of(problem, start, options), options)
+    parts[0], noise = (problem, state), Noise.of(problem, state, options)
+    return np.array([fit_points(*part, noise, options)[1] for part in parts])

@@ -14,7 +14,7 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, ranks_of
 from colmap_edges.core.edges3d import AS_GIVEN, AdjustedPoses, Edges3D
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import EDGE, SFM, Problem, State, make_problem
-from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, minimize
+from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, fit_points
 
 
 def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem, State]:
@@ -49,8 +49,7 @@ def held_out_gains(
         noise = Noise.of(held_out, before, options)
         after = replace(moved, points=before.points)
         cost, refined_cost = (
-            minimize(held_out, state, noise, options.max_steps, move_poses=False)[1]
-            for state in (before, after)
+            fit_points(held_out, state, noise, options)[1] for state in (before, after)
         )
         return 1 - refined_cost / max(cost, 1e-300)
 
@@ -120,8 +119,7 @@ def with_all_points(
     """The problem of all SfM points, and these adjusted to the poses of `state`."""
     problem, start = make_problem(model, Edges3D.none())
     at = replace(state, points=start.points)
-    noise = Noise.of(problem, at, options)
-    return problem, minimize(problem, at, noise, options.max_steps, move_poses=False)[0]
+    return problem, fit_points(problem, at, Noise.of(problem, at, options), options)[0]
 
 
 def enough_points(problem: Problem, num_observations: int, random_seed: int) -> BoolArray:

@@ -139,6 +139,13 @@ def minimize(
     return state, cost
 
 
+def fit_points(
+    problem: Problem, state: State, noise: Noise, options: BundleAdjustmentOptions
+) -> tuple[State, float]:
+    """The state with points moved to where they fit best to the poses, and its cost."""
+    return minimize(problem, state, noise, options.max_steps, move_poses=False)
+
+
 def estimate_sigmas(problem: Problem, state: State) -> FloatArray:
     """(2,) standard deviations in pixels of the residuals of SfM and edge points, from medians.
 
