@@ -87,6 +87,29 @@ class Mesh:
         """The numbers of triangles and vertices, in one line."""
         return f"<Mesh: {len(self.faces):,} triangles, {len(self.vertices):,} vertices>"
 
+    def rebuilt(
+        self,
+        vertices: FloatArray,
+        sources: Int32Array,
+        faces: Int32Array,
+        creases: Int32Array,
+        **stats: float,
+    ) -> Mesh:
+        """The mesh of other vertices, with the (V', 1) vertices of this one that they were.
+
+        New vertices, whose source is -1, have the id -1 and colour 0.
+        """
+        rows = sources[:, 0]
+        return replace(
+            self,
+            vertices=vertices,
+            faces=faces,
+            creases=creases,
+            point3D_ids=np.where(rows >= 0, self.point3D_ids[rows], -1),
+            colors=np.where(rows[:, None] >= 0, self.colors[rows], np.uint8(0)),
+            stats={**self.stats, **stats},
+        )
+
     def check(self, name: str = "mesh") -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.
 

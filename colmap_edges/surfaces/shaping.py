@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
@@ -30,7 +28,7 @@ def shaped(mesh: Mesh, information: FloatArray, num_threads: int) -> Mesh:
     Returns:
         The mesh; `point3D_ids` of new vertices are -1, their colours 0.
     """
-    vertices, sources, faces, creases = load_extension().shape(
+    arrays = load_extension().shape(
         mesh.vertices,
         mesh.faces,
         mesh.creases,
@@ -41,23 +39,9 @@ def shaped(mesh: Mesh, information: FloatArray, num_threads: int) -> Mesh:
         turn_sigmas=TURN_SIGMAS,
         num_threads=num_threads,
     )
-    rows = sources[:, 0]
-    is_old = rows >= 0
-    ids = np.full(len(rows), -1, np.int64)
-    ids[is_old] = mesh.point3D_ids[rows[is_old]]
-    colors = np.zeros((len(rows), 3), np.uint8)
-    colors[is_old] = mesh.colors[rows[is_old]]
-    num_left = int(np.count_nonzero(is_old))
-    stats = {
-        "vertices_left_out": len(mesh.vertices) - num_left,
-        "vertices_inserted": len(rows) - num_left,
-    }
-    return replace(
-        mesh,
-        vertices=vertices,
-        faces=faces,
-        creases=creases,
-        point3D_ids=ids,
-        colors=colors,
-        stats={**mesh.stats, **stats},
+    num_left = int(np.count_nonzero(arrays[1] >= 0))
+    return mesh.rebuilt(
+        *arrays,
+        vertices_left_out=len(mesh.vertices) - num_left,
+        vertices_inserted=len(arrays[1]) - num_left,
     )

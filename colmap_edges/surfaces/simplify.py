@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.mesh import Mesh
 
@@ -22,16 +20,7 @@ def simplify(mesh: Mesh, max_faces: int, num_threads: int = 1) -> Mesh:
     """
     if len(mesh.faces) <= max_faces:
         return mesh
-    vertices, sources, faces, creases = load_extension().simplify(
+    arrays = load_extension().simplify(
         mesh.vertices, mesh.faces, mesh.creases, max_faces, num_threads
     )
-    rows = sources[:, 0]
-    return replace(
-        mesh,
-        vertices=vertices,
-        faces=faces,
-        creases=creases,
-        point3D_ids=mesh.point3D_ids[rows],
-        colors=mesh.colors[rows],
-        stats={**mesh.stats, "faces_before_simplification": len(mesh.faces)},
-    )
+    return mesh.rebuilt(*arrays, faces_before_simplification=len(mesh.faces))
