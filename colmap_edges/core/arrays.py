@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
@@ -117,6 +117,13 @@ def owners_of(offsets: IntArray) -> IntArray:
     return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
 
 
+def joined_lists(lists: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
+    """(N,) list of each entry of lists of integers, and (N,) the entries, list by list."""
+    lengths = np.fromiter(map(len, lists), np.int64, len(lists))
+    entries = np.fromiter(chain.from_iterable(lists), np.int64, int(lengths.sum()))
+    return np.repeat(np.arange(len(lists)), lengths), entries
+
+
 def entries_of(offsets: IntArray, rows: IntArray) -> IntArray:
     """Indices of the entries of (m,) rows of (n + 1,) offsets, in the order of `rows`."""
     return ranges_of(offsets[rows], offsets[rows + 1])
@@ -154,11 +161,16 @@ def grown(mask: BoolArray) -> BoolArray:
     return result
 
 
-def long_runs(mask: BoolArray, least: int) -> BoolArray:
-    """`mask` without runs of fewer than `least` true entries."""
-    begins = np.ones(len(mask), bool)
-    begins[1:] = mask[1:] != mask[:-1]
-    runs = np.cumsum(begins) - 1
+def runs_of(*arrays: NDArray[Any]) -> IntArray:
+    """(N,) run of each entry, in which each of some (N,) arrays is constant."""
+    begins = np.ones(len(arrays[0]), bool)
+    begins[1:] = np.any([of[1:] != of[:-1] for of in arrays], axis=0)
+    return np.cumsum(begins) - 1
+
+
+def long_runs(mask: BoolArray, least: int, *others: NDArray[Any]) -> BoolArray:
+    """`mask` without runs of fewer than `least` true entries; runs end where others change."""
+    runs = runs_of(mask, *others)
     result: BoolArray = mask & (np.bincount(runs)[runs] >= least)
     return result
 

@@ -17,6 +17,7 @@ from colmap_edges.core.arrays import (
     entries_of,
     offsets_of,
     owners_of,
+    parts_of,
 )
 from colmap_edges.core.checks import (
     MAX_INTEGER,
@@ -146,7 +147,7 @@ class Edges3D:
 
     def polylines(self) -> list[FloatArray]:
         """The points (n, 3) of each edge; those of closed edges end with the first again."""
-        parts = np.split(self.points, self.edge_offsets[1:-1]) if self.num_edges else []
+        parts = parts_of(self.points, self.edge_offsets)
         return [
             np.concatenate([part, part[:1]]) if closed else part
             for part, closed in zip(parts, self.closed, strict=True)

@@ -10,7 +10,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, offsets_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    offsets_of,
+    ranks_of,
+)
 from colmap_edges.images.edge_maps import EdgeMap
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
@@ -90,13 +97,11 @@ def rescaled(pixels: FloatArray, offsets: IntArray, ratio: float) -> tuple[Float
         return pixels, offsets
     lengths = np.diff(offsets)
     counts = np.where(lengths > 1, np.rint((lengths - 1) * ratio).astype(np.int64) + 1, 1)
-    moved = offsets_of(counts)
-    ranks = np.arange(moved[-1]) - np.repeat(moved[:-1], counts)
     steps = np.repeat((lengths - 1) / np.maximum(counts - 1, 1), counts)
-    places = np.repeat(offsets[:-1], counts) + ranks * steps
+    places = np.repeat(offsets[:-1], counts) + ranks_of(counts) * steps
     every = np.arange(len(pixels))
     points = np.column_stack([np.interp(places, every, axis) for axis in pixels.T])
-    return (points + 0.5) * ratio - 0.5, moved
+    return (points + 0.5) * ratio - 0.5, offsets_of(counts)
 
 
 def long_enough(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.arrays import FloatArray, parts_of
 from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import (
     ARC,
@@ -75,7 +75,7 @@ def write_dxf_polylines(
     """
     with new_drawing(edges.points, unit, [POLYLINES]) as drawing:
         space = drawing.modelspace()
-        for edge, points in enumerate(np.split(edges.points, edges.edge_offsets[1:-1])):
+        for edge, points in enumerate(parts_of(edges.points, edges.edge_offsets)):
             closed = bool(edges.closed[edge])
             polyline = space.add_polyline3d(
                 points.tolist(), close=closed, dxfattribs={"layer": POLYLINES}

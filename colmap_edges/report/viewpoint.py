@@ -88,8 +88,7 @@ def subject(contents: Contents) -> tuple[FloatArray, NDArray[Any], NDArray[Any]]
     model, edges = contents.model, contents.edges
     if edges is not None and edges.num_points:
         return edges.points, edges.observations.views, edges.observations.points
-    owners = np.repeat(np.arange(len(model.points3D_xyz)), np.diff(model.track_offsets))
-    return model.points3D_xyz, model.track_views, owners
+    return model.points3D_xyz, model.track_views, model.track_points
 
 
 def is_within(points: FloatArray, view: Viewpoint) -> bool:

@@ -9,7 +9,14 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, Picture, offsets_of
+from colmap_edges.core.arrays import (
+    FloatArray,
+    Int32Array,
+    IntArray,
+    Picture,
+    offsets_of,
+    owners_of,
+)
 from colmap_edges.core.view import View
 from colmap_edges.errors import ImageError
 from colmap_edges.images.files import square
@@ -53,7 +60,7 @@ class SeenFaces(NamedTuple):
     @property
     def faces(self) -> IntArray:
         """(C,) triangles of the pairs."""
-        return np.repeat(np.arange(len(self.offsets) - 1), np.diff(self.offsets))
+        return owners_of(self.offsets)
 
 
 def find_seen_faces(

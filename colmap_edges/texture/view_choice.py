@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, medians_of, offsets_of
+from colmap_edges.core.arrays import (
+    FloatArray,
+    Int32Array,
+    IntArray,
+    medians_of,
+    offsets_of,
+    ranks_of,
+)
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.texture.gains import USABLE_LEVELS, gained
 from colmap_edges.texture.seen_faces import SeenFaces
@@ -85,8 +92,7 @@ def by_face(seen: SeenFaces, values: FloatArray) -> IntArray:
 def cheapest(seen: SeenFaces, costs: FloatArray) -> IntArray:
     """Ascending rows of the cheapest pairs of each triangle, at most `MAX_CANDIDATES`."""
     order = by_face(seen, costs)
-    ranks = np.arange(len(order)) - np.repeat(seen.offsets[:-1], np.diff(seen.offsets))
-    return np.sort(order[ranks < MAX_CANDIDATES])
+    return np.sort(order[ranks_of(np.diff(seen.offsets)) < MAX_CANDIDATES])
 
 
 def neighbours(faces: Int32Array) -> tuple[Int32Array, IntArray]:

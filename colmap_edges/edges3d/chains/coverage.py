@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, IntArray, owners_of
+from colmap_edges.core.arrays import BoolArray, IntArray, long_runs, owners_of
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.filtering import FilteredCurves, chosen, find_pieces
 from colmap_edges.edges3d.chains.traced_curves import TracedCurves
@@ -41,7 +41,7 @@ def what_remains(
         )
     least = options.min_curve_points * options.curve_step_points // 2
     free = [
-        without_short(~each, whole.polyline_offsets[view], least)
+        long_runs(~each, least, owners_of(whole.polyline_offsets[view]))
         for view, each in enumerate(covered)
     ]
     return remaining(whole, free)
@@ -100,15 +100,6 @@ def mark_covered(
         polyline = np.searchsorted(offsets[view], at, "right") - 1
         first, last = offsets[view][polyline], offsets[view][polyline + 1] - 1
         covered[view][np.minimum(np.maximum(at + steps, first), last)] = True
-
-
-def without_short(free: BoolArray, offsets: IntArray, least: int) -> BoolArray:
-    """(N,) bool, the points of `free` in runs of at least `least` along one polyline."""
-    begins = np.zeros(len(free), np.int64)
-    begins[1:] = (np.diff(owners_of(offsets)) != 0) | (free[1:] != free[:-1])
-    runs = np.cumsum(begins)
-    kept: BoolArray = free & (np.bincount(runs)[runs] >= least)
-    return kept
 
 
 def among_all_points(observed: ChainObservations, points: Sequence[IntArray]) -> ChainObservations:

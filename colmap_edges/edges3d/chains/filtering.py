@@ -18,6 +18,7 @@ from colmap_edges.core.arrays import (
     entries_of,
     offsets_of,
     owners_of,
+    runs_of,
 )
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.contours import Seen, are_fixed, scatter_of
@@ -219,11 +220,7 @@ def filter_pieces(
         such as silhouettes of smooth bodies and reflections.
     """
     pieces, good = find_pieces(traced, keep, limits.log_chance, options)
-    fixed = are_fixed(traced, pieces, limits.residual_px, options)
-    return (
-        chosen(traced, pieces, keep & (good & fixed)[pieces]),
-        chosen(traced, pieces, keep & (good & ~fixed)[pieces]),
-    )
+    return separated(traced, pieces, keep & good[pieces], limits.residual_px, options)
 
 
 def filter_remains(
@@ -239,12 +236,20 @@ def filter_remains(
     keep = traced.observations.counts >= options.min_observations
     keep &= traced.uncertainties <= limits.uncertainty_px
     pieces, long = find_pieces(traced, keep, np.inf, options)
-    tolerance = 1 + 1 / np.sqrt(np.bincount(pieces))
-    fixed = are_fixed(traced, pieces, limits.residual_px * tolerance, options)
-    return (
-        chosen(traced, pieces, keep & (long & fixed)[pieces]),
-        chosen(traced, pieces, keep & (long & ~fixed)[pieces]),
-    )
+    limits_px = limits.residual_px * (1 + 1 / np.sqrt(np.bincount(pieces)))
+    return separated(traced, pieces, keep & long[pieces], limits_px, options)
+
+
+def separated(
+    traced: TracedCurves,
+    pieces: IntArray,
+    keep: BoolArray,
+    limits_px: FloatArray | float,
+    options: TracingOptions,
+) -> tuple[TracedCurves, TracedCurves]:
+    """The kept ones of (N,) points as edges and as contours, by what their pieces are."""
+    fixed = are_fixed(traced, pieces, limits_px, options)[pieces]
+    return chosen(traced, pieces, keep & fixed), chosen(traced, pieces, keep & ~fixed)
 
 
 def find_pieces(
@@ -256,11 +261,8 @@ def find_pieces(
         (N,) piece of each point, and for each piece whether it is long enough and passes the
         a-contrario test, i.e. its log10 probability is at most `log_chance`.
     """
-    ids = owners_of(traced.offsets)
-    broken = np.ones(len(ids), bool)
-    broken[1:] = (np.diff(ids) != 0) | (keep[1:] != keep[:-1])
-    pieces = np.cumsum(broken) - 1
-    sizes = np.bincount(pieces) if len(pieces) else np.zeros(0, np.int64)
+    pieces = runs_of(owners_of(traced.offsets), keep)
+    sizes = np.bincount(pieces)
     # Points less than 16 px apart are not independent evidence.
     share = min(1.0, options.curve_step_points / 16)
     logs = share * np.bincount(pieces, weights=traced.log_chances, minlength=len(sizes))

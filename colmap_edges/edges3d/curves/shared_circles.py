@@ -16,6 +16,7 @@ from colmap_edges.core.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    joined_lists,
     offsets_of,
     ranges_of,
     row_numbers,
@@ -100,8 +101,7 @@ def candidate_pairs(
     most = np.maximum(doubts[known], MAX_RADIUS_DOUBT)
     rounded = np.isfinite(doubts[members])
     lists = cKDTree(samples[:, 1]).query_ball_point(centers, (1 + most) * radii)
-    rows = np.repeat(np.arange(len(known)), [len(near) for near in lists])
-    found = np.concatenate([np.asarray(near, np.int64) for near in lists])
+    rows, found = joined_lists(lists)
     other = (most[rows] <= MAX_RADIUS_DOUBT) | rounded[found]
     other &= members[found] != known[rows]
     rows, found = rows[other], found[other]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import fdtri
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, blocks
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, blocks, ranks_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import end_points, nearest_on_lines, unit
 from colmap_edges.edges3d.linking.ends import MAX_MISS_SPACINGS, MIN_ANGLE_DEG
@@ -36,7 +36,7 @@ def cut_at_bends(edges: Edges3D) -> Edges3D:
     # A closed edge begins at its first bend.
     shifts, rolled = np.zeros(edges.num_edges, np.int64), edges.closed & (last > first)
     shifts[rolled] = bends[first[rolled]] - offsets[:-1][rolled]
-    ranks = np.arange(edges.num_points) - offsets[owners]
+    ranks = ranks_of(sizes)
     order = offsets[owners] + (ranks + shifts[owners]) % sizes[owners]
     of = owners[bends]
     cuts = offsets[of] + (ranks[bends] - shifts[of]) % sizes[of]
@@ -48,7 +48,7 @@ def find_bends(edges: Edges3D) -> IntArray:
     """(B,) indices of the points before which edges are to be cut, ascending."""
     owners, offsets = edges.edge_ids, edges.edge_offsets
     sizes, loops = np.diff(offsets)[owners], edges.closed[owners]
-    ranks = np.arange(edges.num_points) - offsets[owners]
+    ranks = ranks_of(np.diff(offsets))
     to_end = np.where(loops, sizes // 2, np.minimum(ranks, sizes - 1 - ranks))
     found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, bool))]
     for side in SIDE_POINTS:

@@ -19,6 +19,7 @@ from colmap_edges.core.arrays import (
     entries_of,
     offsets_of,
     owners_of,
+    ranks_of,
     row_numbers,
 )
 from colmap_edges.core.edges3d import Edges3D
@@ -122,7 +123,7 @@ def with_observed(
     counts = np.maximum(np.ceil(lengths / spacings.mean(axis=1)).astype(np.int64) + 1, 3)
     offsets = offsets_of(counts)
     owners = owners_of(offsets)
-    ways = ((np.arange(len(owners)) - offsets[owners]) / (counts[owners] - 1))[:, None]
+    ways = (ranks_of(counts) / (counts[owners] - 1))[:, None]
     points = (1 - ways) * ends[owners, 0] + ways * ends[owners, 1]
     observed = observe(
         points,

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -25,9 +24,11 @@ from colmap_edges.core.arrays import (
     blocks,
     entries_of,
     grown,
+    joined_lists,
     long_runs,
     order_of,
     owners_of,
+    ranks_of,
 )
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.polylines import curve_tangents, unit
@@ -181,9 +182,8 @@ def nearest_of_pieces(
     tree, found = cKDTree(pieces.points), [np.zeros((2, 0), np.int64)]
     for rows in blocks(len(pieces.points), 1 << 11):
         lists = tree.query_ball_point(pieces.points[rows], reach[rows], workers=num_threads)
-        counts = np.fromiter(map(len, lists), np.int64, len(lists))
-        b = np.fromiter(chain.from_iterable(lists), np.int64, int(counts.sum()))
-        a = np.repeat(np.arange(rows.start, rows.stop), counts)
+        a, b = joined_lists(lists)
+        a += rows.start
         others = pieces.ids[a] != pieces.ids[b]
         a, b = a[others], b[others]
         away = pieces.points[b] - pieces.points[a]
@@ -241,7 +241,7 @@ def spread(groups: IntArray, count: int) -> IntArray:
     """Indices of at most `count` evenly spread rows of each of (M,) groups, group by group."""
     order = np.argsort(groups, kind="stable")
     sizes = np.bincount(groups)
-    ranks = np.arange(len(groups)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    ranks = ranks_of(sizes)
     own = sizes[groups[order]]
     step = np.maximum(own / count, 1)
     picked = np.floor((ranks + 1) / step) > np.floor(ranks / step)

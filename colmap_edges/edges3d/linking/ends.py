@@ -6,13 +6,12 @@ Lengths are in spacings, the local distance between edge points, and so independ
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 from scipy.sparse import csc_array
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import FloatArray, IntArray, ranges_of
+from colmap_edges.core.arrays import FloatArray, IntArray, joined_lists, ranges_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import end_points, unit
 
@@ -58,8 +57,7 @@ def near_pairs(ends: Ends, radius: float) -> tuple[IntArray, IntArray, FloatArra
     """Pairs of ends within `radius` of the smaller spacing of the two, a < b, and their gaps."""
     tree = cKDTree(ends.positions)
     found = tree.query_ball_point(ends.positions, radius * ends.spacings, return_sorted=True)
-    a = np.repeat(np.arange(len(found)), [len(row) for row in found])
-    b = np.fromiter(chain.from_iterable(found), np.int64, len(a))
+    a, b = joined_lists(found)
     gap = ends.positions[b] - ends.positions[a]
     near = np.linalg.norm(gap, axis=1) <= radius * np.minimum(ends.spacings[a], ends.spacings[b])
     keep = near & (a < b)

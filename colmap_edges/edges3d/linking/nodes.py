@@ -11,7 +11,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of, ranges_of
+from colmap_edges.core.arrays import (
+    FloatArray,
+    IntArray,
+    joined_lists,
+    offsets_of,
+    ranges_of,
+    ranks_of,
+)
 from colmap_edges.core.edges3d import Edges3D, Nodes
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.polylines import curve_tangents, nearest_on_lines, unit
@@ -159,16 +166,16 @@ def pairs_beside(
 ) -> tuple[IntArray, IntArray]:
     """Pairs of ends and inner points of other edges, within a distance in spacings."""
     sizes = np.diff(edges.edge_offsets)[edges.edge_ids]
-    ranks = np.arange(edges.num_points) - edges.edge_offsets[edges.edge_ids]
+    ranks = ranks_of(np.diff(edges.edge_offsets))
     inside = (np.minimum(ranks, sizes - 1 - ranks) > REACH) | edges.closed[edges.edge_ids]
     candidates = np.flatnonzero(inside)
-    if len(candidates) == 0 or len(of) == 0:
+    if len(candidates) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     radius = (reach + 1) * lines.ends.spacings[of]
     tree = cKDTree(edges.points[candidates])
     found = tree.query_ball_point(lines.ends.positions[of], radius, return_sorted=True)
-    ends = np.repeat(of, [len(row) for row in found])
-    onto = candidates[np.concatenate([np.asarray(row, np.int64) for row in found])]
+    rows, near = joined_lists(found)
+    ends, onto = of[rows], candidates[near]
     other = edges.edge_ids[onto] != ends // 2
     return ends[other], onto[other]
 

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import FloatArray, IntArray, blocks
+from colmap_edges.core.arrays import FloatArray, IntArray, blocks, joined_lists
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents, end_points, unit
 from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud, scores
@@ -126,10 +126,8 @@ def nearest_twins(
     tree, along = cKDTree(points), np.cumsum(weights)
     cosine = np.cos(np.radians(15.0))
     for some in blocks(len(points), 20_000):
-        rows = np.arange(some.start, some.stop)
-        found = tree.query_ball_point(points[rows], (limit_px + 1) * sizes[rows])
-        a = np.repeat(rows, [len(row) for row in found])
-        b = np.concatenate([np.asarray(row, np.int64) for row in found])
+        a, b = joined_lists(tree.query_ball_point(points[some], (limit_px + 1) * sizes[some]))
+        a += some.start
         apart = np.abs(along[a] - along[b]) > 4 * limit_px * sizes[a]
         keep = (edges[a] != edges[b]) | apart
         a, b = a[keep], b[keep]

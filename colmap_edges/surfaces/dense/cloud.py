@@ -21,6 +21,7 @@ from colmap_edges.core.arrays import (
     entries_of,
     offsets_of,
     owners_of,
+    ranks_of,
     row_numbers,
 )
 from colmap_edges.core.checks import check_arrays
@@ -239,8 +240,8 @@ def sampled(curves: Edges3D, step: float) -> FloatArray:
     starts, ends = (curves.points[column] for column in curves.segments.T)
     counts = np.ceil(np.linalg.norm(ends - starts, axis=1) / step).astype(np.int64).clip(1)
     owners = np.repeat(np.arange(len(counts)), counts)
-    share = (np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts))[:, None]
-    along = starts[owners] + share / counts[owners][:, None] * (ends - starts)[owners]
+    share = (ranks_of(counts) / counts[owners])[:, None]
+    along = starts[owners] + share * (ends - starts)[owners]
     return np.concatenate([curves.points, along])
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import convolve
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, offsets_of, owners_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, owners_of, ranks_of
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
@@ -199,7 +199,7 @@ def points_on(
         return NO_POINTS
     counts = np.maximum(np.ceil(2 * np.pi * radii / step), 3).astype(np.int64)
     owners = np.repeat(np.arange(len(places)), counts)
-    turns = (np.arange(len(owners)) - offsets_of(counts)[owners] + owners % 2 / 2) / counts[owners]
+    turns = (ranks_of(counts) + owners % 2 / 2) / counts[owners]
     basis = np.linalg.svd(axis.direction[None])[2][1:]
     away = np.column_stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)]) @ basis
     local = places[owners, None] * axis.direction + radii[owners, None] * away

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from colmap_edges.core.arrays import long_runs, owners_of
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges2d.edge_graph import keep_points
 from colmap_edges.edges2d.edge_index import at_positions
@@ -18,7 +19,6 @@ from colmap_edges.edges3d.chains.coverage import (
     mark_covered,
     what_remains,
     without_repeats,
-    without_short,
 )
 from colmap_edges.edges3d.chains.filtering import FilteredCurves, Limits
 from colmap_edges.edges3d.chains.traced_curves import TracedCurves
@@ -173,7 +173,7 @@ def test_short_runs_are_left_out(size):
     free = np.ones(size, bool)
     free[3:5] = False
     offsets = np.array([0, size // 2, size])
-    kept = np.flatnonzero(without_short(free, offsets, 4)).tolist()
+    kept = np.flatnonzero(long_runs(free, 4, owners_of(offsets))).tolist()
     assert kept == ([*range(8, 17)] if size else [])
 
 
