@@ -142,6 +142,16 @@ def medians_of(values: FloatArray | IntArray, owners: IntArray, count: int) -> F
     return medians
 
 
+def robust_sigma(values: FloatArray) -> float:
+    """Standard deviation of normally distributed values about 0, from the median of their sizes."""
+    return 1.4826 * float(np.median(np.abs(values)))
+
+
+def evenly_chosen(count: int, most: int) -> IntArray:
+    """At most `most` of the indices from 0 to below `count`, at even distances."""
+    return np.linspace(0, count - 1, min(count, most)).astype(np.int64)
+
+
 def ranges_of(starts: IntArray, ends: IntArray) -> IntArray:
     """The concatenated half-open ranges from (n,) starts to (n,) ends."""
     lengths = ends - starts

@@ -109,6 +109,11 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return found
 
 
+def plane_basis(normal: FloatArray) -> FloatArray:
+    """(2, 3) unit vectors at right angles to a (3,) normal and to each other."""
+    return np.asarray(np.linalg.svd(normal[None])[2][1:])
+
+
 def nearest_on_lines(
     origins_a: FloatArray, a: FloatArray, origins_b: FloatArray, b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import Picture
+from colmap_edges.core.arrays import Picture, evenly_chosen
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.blur import WIDEST_PX, blur_of_wide_edges
 from colmap_edges.edges2d.detection import detect_chains, resized
@@ -74,9 +74,9 @@ def blurs_until_decided(
 
     If images are too large for upsampling, one sharp image suffices to keep the scale.
     """
-    every = np.linspace(0, len(views) - 1, min(5, len(views))).astype(int)
+    some = [views[i] for i in evenly_chosen(len(views), 5)]
     blurs = []
-    for blur_px in blurs_of([views[i] for i in every], image_path, options):
+    for blur_px in blurs_of(some, image_path, options):
         blurs.append(blur_px)
         if not may_enlarge and blur_px < SOFT_BLUR_PX * MIN_REDUCTION:
             break

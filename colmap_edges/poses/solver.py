@@ -10,7 +10,7 @@ from numpy.linalg import LinAlgError
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.arrays import FloatArray, robust_sigma
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import (
     EDGE,
@@ -151,14 +151,14 @@ def estimate_sigmas(problem: Problem, state: State) -> FloatArray:
 
     Accounts for residuals being smaller than the noise, since points fit their observations.
     """
-    residuals = np.abs(linearized(problem, state).residuals())
+    residuals = linearized(problem, state).residuals()
     kinds = np.repeat(problem.kinds, np.diff(problem.measured.offsets))
     sigmas = np.ones(2)
     for kind, directions, freedom in ((SFM, 2, 3), (EDGE, 1, 2)):
         found = residuals[kinds == kind, :directions]
         spare = found.size - freedom * np.count_nonzero(problem.kinds == kind)
         if spare > 0:
-            sigmas[kind] = 1.4826 * np.median(found) * np.sqrt(found.size / spare)
+            sigmas[kind] = robust_sigma(found) * np.sqrt(found.size / spare)
     return np.maximum(np.where(np.isfinite(sigmas), sigmas, 1.0), 1e-3)
 
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array
+from colmap_edges.core.polylines import plane_basis
 from colmap_edges.surfaces.faces.outlines import Face
 
 MAX_SHOWN = 500  # maximum number of faces shown, largest first
@@ -45,7 +46,7 @@ def trapezoids(face: Face, step: float) -> FloatArray:
         face: face with outline and holes (even-odd rule).
         step: grid to which corners are rounded in one direction, world units.
     """
-    basis = np.linalg.svd(face.normal[None])[2][1:]
+    basis = plane_basis(face.normal)
     rings = [ring @ basis.T for ring in (face.outline, *face.holes)]
     starts = np.concatenate(rings)
     ends = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])

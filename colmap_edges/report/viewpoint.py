@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import BoolArray, FloatArray
+from colmap_edges.core.arrays import BoolArray, FloatArray, owners_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.upright import up_direction
@@ -88,7 +88,7 @@ def subject(contents: Contents) -> tuple[FloatArray, NDArray[Any], NDArray[Any]]
     model, edges = contents.model, contents.edges
     if edges is not None and edges.num_points:
         return edges.points, edges.observations.views, edges.observations.points
-    return model.points3D_xyz, model.track_views, model.track_points
+    return model.points3D_xyz, model.track_views, owners_of(model.track_offsets)
 
 
 def is_within(points: FloatArray, view: Viewpoint) -> bool:

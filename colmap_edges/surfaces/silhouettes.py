@@ -21,6 +21,7 @@ from colmap_edges.core.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    evenly_chosen,
     offsets_of,
     order_of,
 )
@@ -280,7 +281,7 @@ def contour(body: Body, known: FloatArray, count: int) -> tuple[FloatArray, Floa
     near[rows, columns] = 1
     edge[cv2.dilate(near, square(EDGE_PX)) > 0] = 0
     rows, columns = np.nonzero(edge)
-    chosen = np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(np.int64)
+    chosen = evenly_chosen(len(rows), count)
     rows, columns = rows[chosen], columns[chosen]
     blurred = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), DIRECTION_PX)
     slope = [cv2.Sobel(blurred, cv2.CV_32F, *order) for order in ((1, 0), (0, 1))]

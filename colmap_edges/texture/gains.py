@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import spsolve
 
-from colmap_edges.core.arrays import FloatArray, Int32Array
+from colmap_edges.core.arrays import FloatArray, Int32Array, robust_sigma
 from colmap_edges.texture.seen_faces import SeenFaces
 
 USABLE_LEVELS = (8.0, 247.0)  # range of mean colours that are neither dark nor saturated
@@ -32,7 +32,7 @@ def find_gains(seen: SeenFaces, num_views: int) -> FloatArray:
     differences = logs[rows] - logs[rows + 1]
     for _ in range(10):
         residuals = np.abs(differences - gains[first] + gains[second]).max(axis=1)
-        scale = max(1.4826 * float(np.median(residuals)), 1e-3)
+        scale = max(robust_sigma(residuals), 1e-3)
         weights = 1 / (1 + (residuals / scale) ** 2)
         gains = fitted(first, second, differences, weights, num_views)
     return np.asarray(gains - gains[np.unique(views)].mean(axis=0))

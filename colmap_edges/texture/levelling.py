@@ -10,7 +10,14 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import cg
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray, blocks
+from colmap_edges.core.arrays import (
+    ByteArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    blocks,
+    robust_sigma,
+)
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.texture.atlas import Atlas
 
@@ -75,7 +82,7 @@ def solved(atlas: Atlas, ends: IntArray) -> FloatArray:
 def trust(differences: FloatArray) -> FloatArray:
     """(S,) weights of seams: small where the views show different things and not another light."""
     sizes = np.abs(differences).max(axis=1)
-    scale = max(1.4826 * float(np.median(sizes)), 2.0)
+    scale = max(robust_sigma(sizes), 2.0)
     return np.asarray(1 / (1 + (sizes / scale) ** 2))
 
 

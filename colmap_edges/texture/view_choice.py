@@ -11,6 +11,7 @@ from colmap_edges.core.arrays import (
     medians_of,
     offsets_of,
     ranks_of,
+    robust_sigma,
 )
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.texture.gains import USABLE_LEVELS, gained
@@ -78,7 +79,7 @@ def strangeness(seen: SeenFaces, gains: FloatArray) -> FloatArray:
     for channel in logs.T:
         medians = medians_of(channel, seen.faces, len(counts))
         residuals = np.maximum(residuals, np.abs(channel - np.repeat(medians, counts)))
-    sigma = max(1.4826 * float(np.median(residuals)), MIN_SIGMA)
+    sigma = max(robust_sigma(residuals), MIN_SIGMA)
     unlike = np.log(np.maximum(residuals / sigma, 1))
     return np.where(np.repeat(counts, counts) > 2, unlike, 0.0)
 

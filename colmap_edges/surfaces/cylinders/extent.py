@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray
+from colmap_edges.core.polylines import plane_basis
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.cylinders.hypotheses import Cylinders
@@ -78,7 +79,7 @@ def points_on(
     middle = one.points[0] + extent.starts.mean() * axis
     sizes = [np.linalg.norm(middle - view.center) / view.focal_px for view in views]
     step = min(SPACING_PX * float(np.quantile(sizes, 0.25)), 2 * np.pi * radius / MIN_STEPS)
-    basis = np.linalg.svd(axis[None])[2][1:]
+    basis = plane_basis(axis)
     margin = END_PX * float(np.median(sizes))
     low, high = extent.starts[0] + margin, extent.starts[-1] - margin
     if high <= low:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, IntArray, evenly_chosen
 from colmap_edges.core.polylines import cross, unit
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.cylinders.lines import Lines
@@ -159,8 +159,7 @@ def find_hypotheses(lines: Lines, free: Sequence[IntArray]) -> tuple[Cylinders, 
     pairs = [pairs_of(lines, own) for own in rows]
     seen = np.flatnonzero([len(of.rows) for of in pairs])
     found, views = [Cylinders(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))], [0]
-    bases = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), MAX_BASES)).astype(np.int64))
-    for i in bases.tolist():
+    for i in evenly_chosen(len(seen), MAX_BASES).tolist():
         for other in partners(lines, rows, seen[i], seen[i + 1 :]).tolist():
             found.append(combined(lines, pairs[seen[i]], pairs[other]))
             views.append(seen[i])
@@ -178,6 +177,5 @@ def partners(lines: Lines, rows: list[IntArray], view: int, others: IntArray) ->
     """At most `NUM_PARTNERS` of other views, evenly chosen by their distance."""
     centers = np.array([lines.centers[rows[other][0]] for other in others]).reshape(-1, 3)
     order = np.argsort(np.linalg.norm(centers - lines.centers[rows[view][0]], axis=1))
-    chosen = np.unique(np.linspace(0, len(order) - 1, min(NUM_PARTNERS, len(order))).astype(int))
-    found: IntArray = others[order[chosen]]
+    found: IntArray = others[order[evenly_chosen(len(order), NUM_PARTNERS)]]
     return found

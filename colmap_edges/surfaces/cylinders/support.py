@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, blocks
-from colmap_edges.core.polylines import cross, unit
+from colmap_edges.core.polylines import cross, plane_basis, unit
 from colmap_edges.surfaces.cylinders.hypotheses import NEAR_PX, Cylinders, tangencies
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.round_evidence import MAX_GAP
@@ -117,7 +117,7 @@ def fitted(lines: Lines, start: Cylinders) -> tuple[Cylinders, Support]:
 def fit(lines: Lines, start: Cylinders) -> Cylinders:
     """The cylinder nearest to whose outlines the ends of lines are, robustly."""
     axis, radius = start.axes[0], start.radii[0]
-    basis = np.linalg.svd(axis[None])[2][1:]
+    basis = plane_basis(axis)
     middle = start.points[0]
     scale = np.array([radius, radius, 1.0, 1.0, radius])
 
@@ -148,7 +148,7 @@ def num_fixed_lines(lines: Lines, one: Cylinders, support: Support) -> int:
     the one that explains most of the rest, and so on.
     """
     own = lines.select(support.rows)
-    basis = np.linalg.svd(one.axes[0][None])[2][1:]
+    basis = plane_basis(one.axes[0])
     starts = (own.centers - one.points[0]) @ basis.T
     rays = own.rays.mean(axis=1) @ basis.T
     sizes = np.linalg.norm(rays, axis=1)  # of a ray of length 1, seen along the axis

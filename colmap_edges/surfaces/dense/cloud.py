@@ -141,7 +141,7 @@ def dense_cloud(
     pixels = pixel_sizes(cloud, model)
     kept = thinned(cloud, pixels, options.max_proj_dist)
     tree = cKDTree(cloud.points)
-    shift = measured_shift(cloud, tree, model).shift_px
+    shift = measured_shift(cloud, tree, model)
     moved, sigmas = averaged(cloud, kept, tree, model, shift, num_threads or os.cpu_count() or 1)
     return DenseCloud(
         points=cloud.chosen(kept)._replace(points=moved),

@@ -7,13 +7,11 @@ a direction that depends on the views. The shift is measured at points of the mo
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, owners_of
+from colmap_edges.core.arrays import FloatArray, owners_of, robust_sigma
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import views_with_rows
 from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
@@ -21,25 +19,8 @@ from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
 MIN_POINTS = 100  # of the model on planes of the cloud
 
 
-class Shift(NamedTuple):
-    """The shift of a cloud's images against the model's.
-
-    Attributes:
-        shift_px: (2,) pixels, 0 if there is none.
-        residual: median distance of the model's points from planes of the cloud, without it.
-        residual_after: the same, with it; both in world units.
-    """
-
-    shift_px: FloatArray
-    residual: float
-    residual_after: float
-
-
-NO_SHIFT = Shift(np.zeros(2), 0.0, 0.0)
-
-
-def measured_shift(cloud: SeenPoints, tree: cKDTree, model: Model) -> Shift:
-    """Measure the shift of the images from which a cloud was made, robustly.
+def measured_shift(cloud: SeenPoints, tree: cKDTree, model: Model) -> FloatArray:
+    """(2,) shift in pixels of the images from which a cloud was made, robustly; 0 if none is sure.
 
     Args:
         cloud: the points with their views.
@@ -48,13 +29,13 @@ def measured_shift(cloud: SeenPoints, tree: cKDTree, model: Model) -> Shift:
     """
     points = model.points3D_xyz
     if len(cloud.points) < NUM_NEIGHBORS or len(points) < MIN_POINTS:
-        return NO_SHIFT
+        return np.zeros(2)
     near = tree.query(points, NUM_NEIGHBORS)[1]
     planes = planes_at(cloud.points[near])
     away = np.linalg.norm(points - planes.centers, axis=1)
     on_plane = planes.are_flat & (away < planes.radii)
     if np.count_nonzero(on_plane) < MIN_POINTS:
-        return NO_SHIFT
+        return np.zeros(2)
     near, normals = near[on_plane], planes.normals[on_plane]
     residuals = np.einsum("ni,ni->n", normals, points[on_plane] - planes.centers[on_plane])
     used, places = np.unique(near, return_inverse=True)
@@ -65,13 +46,13 @@ def measured_shift(cloud: SeenPoints, tree: cKDTree, model: Model) -> Shift:
         information = (design * weights[:, None]).T @ design
         shift = np.linalg.lstsq(information, design.T @ (weights * residuals), rcond=None)[0]
         left = residuals - design @ shift
-        sigma = 1.4826 * float(np.median(np.abs(left))) or 1.0
+        sigma = robust_sigma(left) or 1.0
         # With a scale of two robust standard deviations.
         weights = 1 / (1 + (left / (2.0 * sigma)) ** 2) ** 2
     # A shift below five standard deviations may be chance.
     if shift @ information @ shift < (5.0 * sigma) ** 2:
-        return NO_SHIFT
-    return Shift(shift, float(np.median(np.abs(residuals))), float(np.median(np.abs(left))))
+        return np.zeros(2)
+    return np.asarray(shift)
 
 
 def movements(cloud: SeenPoints, model: Model) -> FloatArray:

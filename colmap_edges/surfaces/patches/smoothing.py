@@ -6,7 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, row_numbers
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    robust_sigma,
+    row_numbers,
+)
 
 NUM_LEVELS = 5  # planes of up to 32 by 32 sites
 MIN_ON_PLANE = 6  # patches
@@ -50,7 +57,7 @@ def noise_factor(rows: Int32Array, values: FloatArray) -> float:
     """
     fits = fitted_planes(values, cells_of(rows, 2))
     known = fits.residuals[np.isfinite(fits.residuals)]
-    return max(1.0, 1.4826 * float(np.median(np.abs(known)))) if len(known) else 1.0
+    return max(1.0, robust_sigma(known)) if len(known) else 1.0
 
 
 class PlaneFits(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import convolve
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, owners_of, ranks_of
-from colmap_edges.core.polylines import unit
+from colmap_edges.core.polylines import plane_basis, unit
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
@@ -140,7 +140,7 @@ def has_rim(profile: Profile, end: int, rays: Rays, evidence: Evidence) -> bool:
     before = np.einsum("ij,ij->i", rays.directions, across[owners]) < 0
     faced = np.bincount(owners[before], minlength=len(points)) > 0
     rim = across[(off < 2 * RIM_PX) & (evidence.edge_ids >= 0) & faced]
-    basis = np.linalg.svd(axis.direction[None])[2][1:]
+    basis = plane_basis(axis.direction)
     angles = np.arctan2(rim @ basis[0], rim @ basis[1])
     turn = len(np.unique(np.floor(angles / (2 * np.pi) * 36)))
     return turn > RIM_SHARE * 36
@@ -200,7 +200,7 @@ def points_on(
     counts = np.maximum(np.ceil(2 * np.pi * radii / step), 3).astype(np.int64)
     owners = np.repeat(np.arange(len(places)), counts)
     turns = (ranks_of(counts) + owners % 2 / 2) / counts[owners]
-    basis = np.linalg.svd(axis.direction[None])[2][1:]
+    basis = plane_basis(axis.direction)
     away = np.column_stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)]) @ basis
     local = places[owners, None] * axis.direction + radii[owners, None] * away
     points = axis.point + axis.pixel * local

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray
-from colmap_edges.core.polylines import unit
+from colmap_edges.core.polylines import plane_basis, unit
 from colmap_edges.surfaces.revolution.meridians import (
     Axis,
     Meridian,
@@ -77,7 +77,7 @@ def moved(
         offsets: (m,) their distances from the profile, pixels of the views.
         normals: (m, 2) its normals.
     """
-    basis = np.linalg.svd(axis.direction[None])[2][1:]
+    basis = plane_basis(axis.direction)
     middle = np.median(meridian.points[:, 0])
     arm = max(np.ptp(meridian.points[:, 0]) / 2, 1.0)
     pivot = axis.point + middle * axis.pixel * axis.direction

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, blocks
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, blocks, evenly_chosen
 from colmap_edges.core.curves3d import ARC, CIRCLE, Curves3D
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.revolution.meridians import MIN_RISE, MIN_SINE, Axis, touched
@@ -60,7 +60,7 @@ def axes_of_mirrored(
     """
     rng = np.random.default_rng(random_seed)
     rows_of = rows_by_view(samples.views, len(views))
-    bases = np.unique(np.linspace(0, len(views) - 1, min(len(views), MAX_BASES)).astype(int))
+    bases = evenly_chosen(len(views), MAX_BASES)
     chosen = [views[base] for base in bases]
     upright = [upright_planes(samples, rows_of[base], upward) for base in bases]
     found = axes_of_planes(samples, upright, chosen)
@@ -74,7 +74,7 @@ def axes_of_planes(samples: Samples, planes: Sequence[Planes], views: Sequence[V
     normals, rows = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 2 * NUM_KEPT), np.int64)]
     for i, own in enumerate(planes[:-1]):
         order = np.argsort(np.linalg.norm(centers[i + 1 :] - centers[i], axis=1))
-        partners = np.unique(np.linspace(0, len(order) - 1, NUM_PARTNERS).astype(int))
+        partners = evenly_chosen(len(order), NUM_PARTNERS)
         for other in (planes[j] for j in (i + 1 + order[partners]).tolist()):
             a, b = (part.ravel() for part in np.indices((len(own.normals), len(other.normals))))
             normals.append(np.stack([own.normals[a], other.normals[b]], axis=1))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
+from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, evenly_chosen
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.sky.regions import Regions, rays_of, small_pixels
 
@@ -184,10 +184,7 @@ def exposure(one: FloatArray, other: FloatArray) -> FloatArray:
 def samples_of(regions: Regions, view: int) -> tuple[IntArray, IntArray]:
     """(n,) regions of a view, and (n,) pixels spread over each."""
     own, pixels = regions.pixels(view)
-    spread = [
-        inside[np.linspace(0, len(inside) - 1, min(NUM_SAMPLES, len(inside))).astype(np.int64)]
-        for inside in pixels
-    ]
+    spread = [inside[evenly_chosen(len(inside), NUM_SAMPLES)] for inside in pixels]
     owners = np.repeat(own, [len(inside) for inside in spread])
     return owners, np.concatenate([np.zeros(0, np.int64), *spread])
 
