@@ -117,7 +117,7 @@ def owners_of(offsets: IntArray) -> IntArray:
     return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
 
 
-def joined_lists(lists: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
+def joined_lists(lists: Sequence[Sequence[int] | IntArray]) -> tuple[IntArray, IntArray]:
     """(N,) list of each entry of lists of integers, and (N,) the entries, list by list."""
     lengths = np.fromiter(map(len, lists), np.int64, len(lists))
     entries = np.fromiter(chain.from_iterable(lists), np.int64, int(lengths.sum()))

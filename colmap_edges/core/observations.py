@@ -17,7 +17,6 @@ from colmap_edges.core.arrays import (
     RaggedTable,
     joined_offsets,
     offsets_of,
-    order_of,
 )
 from colmap_edges.core.checks import (
     MAX_INTEGER,
@@ -26,6 +25,7 @@ from colmap_edges.core.checks import (
     check_points,
     check_values,
 )
+from colmap_edges.core.view import rows_by_view
 from colmap_edges.errors import ColmapEdgesError
 
 Kind = TypeVar("Kind", bound="ChainObservations")
@@ -91,11 +91,8 @@ class ChainObservations(RaggedTable):
 
     def by_view(self) -> Iterator[tuple[int, IntArray]]:
         """Observing views, ascending, each with the ascending rows of its observations."""
-        counts = np.bincount(self.views)
-        present = np.flatnonzero(counts)
-        order = order_of(self.views, len(counts))
-        parts = np.split(order, np.cumsum(counts[present]))[:-1]
-        return zip(present.tolist(), parts, strict=True)
+        parts = rows_by_view(self.views, int(self.views.max(initial=-1)) + 1)
+        return ((view, rows) for view, rows in enumerate(parts) if len(rows))
 
 
 @dataclass(frozen=True, kw_only=True)

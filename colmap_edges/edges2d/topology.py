@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import (
@@ -21,6 +19,7 @@ from colmap_edges.core.arrays import (
     IntArray,
     owners_of,
 )
+from colmap_edges.core.groups import linked_groups
 from colmap_edges.core.view import View
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import EdgeGraphOptions
@@ -80,11 +79,9 @@ def find_nodes(
         return np.zeros((0, 2), np.int32), np.zeros(0, np.int32)
     tips = np.column_stack([offsets[:-1], offsets[1:] - 1]).ravel()
     pairs = cKDTree(points[tips]).query_pairs(NODE_RADIUS_PX, output_type="ndarray")
-    own = 2 * np.flatnonzero(closed)
-    rows, columns = np.concatenate([pairs[:, 0], own]), np.concatenate([pairs[:, 1], own + 1])
-    links = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * count, 2 * count))
-    num_nodes, nodes = connected_components(links, directed=False)
-    through = np.full(num_nodes, -1, np.int32)
+    own = 2 * np.flatnonzero(closed)[:, None] + np.arange(2)
+    nodes = linked_groups(np.concatenate([pairs, own]), 2 * count)
+    through = np.full(nodes.max() + 1, -1, np.int32)
     touched = _kernels.touched_chains(points, offsets, width, height)
     np.maximum.at(through, nodes, touched)
     return nodes.reshape(-1, 2).astype(np.int32), through
@@ -140,7 +137,4 @@ def component_labels(topology: Topology) -> IntArray:
     through = np.flatnonzero(topology.node_polylines >= 0)
     polylines = np.concatenate([np.repeat(np.arange(count), 2), topology.node_polylines[through]])
     nodes = np.concatenate([topology.end_nodes.ravel(), through]) + count
-    size = count + num_nodes
-    links = coo_array((np.ones(len(nodes)), (polylines, nodes)), shape=(size, size))
-    labels: IntArray = connected_components(links, directed=False)[1][:count].astype(np.int64)
-    return labels
+    return linked_groups(np.column_stack([polylines, nodes]), count + num_nodes)[:count]

@@ -11,13 +11,12 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.workspace import other_models
 from colmap_edges.core.checks import check_points
+from colmap_edges.core.groups import linked_groups
 from colmap_edges.core.view import View, track_residuals
 from colmap_edges.errors import ColmapEdgesError, ImageError, OptionError
 from colmap_edges.images.edge_maps import check_edge_maps
@@ -97,8 +96,7 @@ def without_copies(model: Model, image_path: Path) -> Model:
     pairs = copied_pairs(model.views, image_path)
     if pairs:
         counts = np.bincount(model.track_views, minlength=len(model.views))
-        graph = coo_array((np.ones(len(pairs)), np.transpose(pairs)), 2 * counts.shape)
-        groups = connected_components(graph, directed=False)[1]
+        groups = linked_groups(np.array(pairs), len(counts))
         order = np.lexsort([-counts, groups])  # most observations first, then the first name
         first = np.unique(groups[order], return_index=True)[1]
         originals = order[first][groups]

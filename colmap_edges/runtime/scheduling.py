@@ -13,15 +13,14 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from colmap_edges.core.arrays import IntArray
+from colmap_edges.core.arrays import IntArray, joined_lists
+from colmap_edges.core.view import rows_by_view
 
 
 def local_order(neighbors: Sequence[IntArray]) -> IntArray:
     """(V,) views ordered so that neighbours are close (reverse Cuthill-McKee)."""
-    count = len(neighbors)
-    rows = np.repeat(np.arange(count), [len(others) for others in neighbors])
-    columns = np.concatenate([np.zeros(0, np.int64), *neighbors])
-    links = csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    count, pairs = len(neighbors), joined_lists(neighbors)
+    links = csr_array((np.ones(len(pairs[0])), pairs), shape=(count, count))
     order = reverse_cuthill_mckee((links + links.T).tocsr(), symmetric_mode=True)
     return np.asarray(order, np.int64)
 
@@ -88,8 +87,5 @@ class Schedule:
 
 def users_of(needed: Sequence[IntArray]) -> list[IntArray]:
     """For each view, the views that need it."""
-    rows = np.repeat(np.arange(len(needed)), [len(others) for others in needed])
-    columns = np.concatenate([np.zeros(0, np.int64), *needed])
-    order = np.argsort(columns, kind="stable")
-    bounds = np.cumsum(np.bincount(columns, minlength=len(needed)))[:-1]
-    return np.split(rows[order], bounds)
+    users, views = joined_lists(needed)
+    return [users[rows] for rows in rows_by_view(views, len(needed))]

@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray, Picture, offsets_of, order_of, parts_of
-from colmap_edges.core.view import View
+from colmap_edges.core.arrays import FloatArray, IntArray, Picture
+from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.texture.charts import Charts
@@ -47,9 +47,8 @@ class Atlas:
     def points_by_view(self) -> list[tuple[View, IntArray]]:
         """Each view that has charts, and the points of these."""
         views = self.charts.views[self.charts.charts] + 1
-        order = order_of(views, len(self.views) + 1)
-        parts = parts_of(order, offsets_of(np.bincount(views, minlength=len(self.views) + 1)))
-        return [(view, rows) for view, rows in zip(self.views, parts[1:], strict=True) if len(rows)]
+        parts = rows_by_view(views, len(self.views) + 1)[1:]
+        return [(view, rows) for view, rows in zip(self.views, parts, strict=True) if len(rows)]
 
     def project(self) -> FloatArray:
         """(N, 2) the points in their views' images; 0 of plain colours."""

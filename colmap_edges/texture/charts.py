@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.core.groups import linked_groups
 from colmap_edges.surfaces.mesh import Mesh, spread_colors
 from colmap_edges.texture.gains import gained
 from colmap_edges.texture.seen_faces import SeenFaces
@@ -51,8 +50,7 @@ def make_charts(
     views = np.full(len(chosen), -1)
     views[is_seen] = seen.views[chosen[is_seen]]
     joined = pairs[(views[pairs[:, 0]] == views[pairs[:, 1]]) & is_seen[pairs[:, 0]]]
-    graph = coo_array((np.ones(len(joined), bool), joined.T), 2 * (len(views),))
-    pieces = connected_components(graph, directed=False)[1]
+    pieces = linked_groups(joined, len(views))
     _, first, of_seen = np.unique(pieces[is_seen], return_index=True, return_inverse=True)
     plain, of_unseen = plain_colors(mesh, seen, gains, chosen)
     owners = np.empty(len(views), np.int64)

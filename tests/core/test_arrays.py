@@ -8,6 +8,9 @@ from hypothesis import strategies as st
 
 from colmap_edges.core.arrays import (
     entries_of,
+    evenly_chosen,
+    joined_lists,
+    long_runs,
     medians_of,
     offsets_of,
     order_of,
@@ -15,7 +18,10 @@ from colmap_edges.core.arrays import (
     parts_of,
     ranks_of,
     row_numbers,
+    runs_of,
 )
+from colmap_edges.core.groups import linked_groups
+from colmap_edges.core.observations import ChainObservations
 
 lengths_of_rows = st.lists(st.integers(0, 4), max_size=8)
 
@@ -65,3 +71,50 @@ def test_medians_of_values_by_owner():
         own = values[(owners == owner) & np.isfinite(values)]
         expected = np.median(own) if len(own) else np.nan
         np.testing.assert_equal(found[owner], expected)
+
+
+@given(st.lists(st.lists(st.integers(0, 9), max_size=4), max_size=6))
+def test_lists_are_joined(lists):
+    owners, entries = joined_lists(lists)
+    assert owners.tolist() == [i for i, row in enumerate(lists) for _ in row]
+    assert entries.tolist() == [entry for row in lists for entry in row]
+
+
+def test_runs_end_where_any_array_changes():
+    mask = np.array([True, True, False, False, True, True, True])
+    rows = np.array([0, 0, 0, 0, 0, 1, 1])
+    assert runs_of(mask, rows).tolist() == [0, 0, 1, 1, 2, 3, 3]
+    assert long_runs(mask, 2, rows).tolist() == [True, True, False, False, False, True, True]
+    assert long_runs(mask, 3).tolist() == [False] * 4 + [True] * 3
+    assert runs_of(mask[:0]).tolist() == []
+
+
+@given(st.integers(0, 40), st.integers(1, 12))
+def test_evenly_chosen_indices_are_distinct_and_spread(count, most):
+    chosen = evenly_chosen(count, most)
+    steps = np.diff(chosen)
+    assert len(chosen) == min(count, most)
+    assert chosen[:1].tolist() == [0][:count]
+    assert (steps > 0).all() and np.ptp(steps) <= 1 if len(steps) else True
+
+
+def test_linked_items_are_of_one_group():
+    assert linked_groups(np.array([[0, 3], [3, 4], [5, 5]]), 6).tolist() == [0, 1, 2, 0, 0, 3]
+    assert linked_groups(np.zeros((0, 2), np.int64), 2).tolist() == [0, 1]
+
+
+def test_rows_of_a_table_are_selected_with_their_entries():
+    observed = ChainObservations(
+        offsets=np.array([0, 2, 2, 3]),
+        views=np.array([4, 5, 6], np.int32),
+        positions=np.array([0.5, 1.5, 2.5]),
+    )
+    found = observed.select(np.array([2, 1, 0, 2]))
+    assert found.offsets.tolist() == [0, 1, 1, 3, 4]
+    assert found.views.tolist() == [6, 4, 5, 6]
+    assert found.owners.tolist() == [0, 2, 2, 3]
+    assert [(view, rows.tolist()) for view, rows in found.by_view()] == [
+        (4, [1]),
+        (5, [2]),
+        (6, [0, 3]),
+    ]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.groups import linked_groups
 
 
 def find_arc_groups(curves: Curves3D, circles: IntArray, edges: Edges3D) -> IntArray:
@@ -29,10 +28,7 @@ def find_arc_groups(curves: Curves3D, circles: IntArray, edges: Edges3D) -> IntA
     for members in np.split(order, firsts[1:]):
         if len(members) > 1:
             links.append(members[successive_parts(curves, members, free[members])])
-    pairs = np.concatenate(links)
-    count = curves.num_curves
-    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
-    labels = connected_components(graph, directed=False)[1]
+    labels = linked_groups(np.concatenate(links), curves.num_curves)
     first = np.unique(labels, return_index=True)[1]
     return np.asarray(first[labels], np.int64)
 

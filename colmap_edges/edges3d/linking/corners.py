@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.groups import linked_groups
 from colmap_edges.core.polylines import end_points, nearest_on_lines, unit
 from colmap_edges.edges3d.linking.bends import go_on_smoothly, polynomials
 from colmap_edges.edges3d.linking.ends import (
@@ -89,8 +88,7 @@ class Meetings:
     @classmethod
     def of_links(cls, a: IntArray, b: IntArray, num_ends: int) -> Meetings:
         """Ends that are connected by links between (n,) and (n,) ends; positions are unknown."""
-        graph = coo_array((np.ones(len(a)), (a, b)), shape=(num_ends, num_ends))
-        labels = connected_components(graph, directed=False)[1]
+        labels = linked_groups(np.column_stack([a, b]), num_ends)
         members = np.flatnonzero(np.bincount(labels)[labels] > 1)
         owners = np.unique(labels[members], return_inverse=True)[1].astype(np.int64)
         count = int(owners.max(initial=-1)) + 1

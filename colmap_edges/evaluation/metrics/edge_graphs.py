@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray, IntArray, blocks, joined_lists
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.groups import linked_groups
 from colmap_edges.core.polylines import curve_tangents, end_points, unit
 from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud, scores
 from colmap_edges.evaluation.metrics.curves import sample, sample_segments
@@ -94,11 +93,7 @@ def twin_shares(
 
 def edges_of(curves: Curves) -> IntArray:
     """(S,) edge of each segment; segments that share points belong to one edge."""
-    count = len(curves.points)
-    ends = curves.segments
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    labels = np.asarray(connected_components(graph, directed=False)[1], np.int64)
-    return labels[ends[:, 0]]
+    return linked_groups(curves.segments, len(curves.points))[curves.segments[:, 0]]
 
 
 def nearest_twins(
@@ -172,11 +167,9 @@ def bent(places: IntArray, directions: FloatArray, count: int) -> IntArray:
 def welded(curves: Curves, distance: float) -> tuple[FloatArray, IntArray]:
     """The points after merging those within `distance`, and the remaining segments."""
     pairs = cKDTree(curves.points).query_pairs(distance, output_type="ndarray")
-    count = len(curves.points)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    number, labels = connected_components(graph, directed=False)
-    sums = [np.bincount(labels, axis, number) for axis in curves.points.T]
-    points = np.column_stack(sums) / np.bincount(labels, minlength=number)[:, None]
+    labels = linked_groups(pairs, len(curves.points))
+    sums = [np.bincount(labels, axis) for axis in curves.points.T]
+    points = np.column_stack(sums) / np.bincount(labels)[:, None]
     segments = np.sort(labels[curves.segments], axis=1)
     segments = np.unique(segments[segments[:, 0] != segments[:, 1]], axis=0).astype(np.int64)
     return points, segments
