@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import (
     BoolArray,
@@ -74,14 +75,17 @@ class ChainObservations(RaggedTable):
         return self.owners
 
     @classmethod
-    def of_table(cls: type[Kind], views: IntArray, positions: FloatArray) -> Kind:
-        """Observations of N points from (N, K) positions in (K,) views; NaN for none."""
+    def of_table(
+        cls: type[Kind], views: IntArray, positions: FloatArray, **more: NDArray[Any]
+    ) -> Kind:
+        """Observations of N points from (N, K) positions in (K,) views, NaN for none, and more."""
         known = np.isfinite(positions)
         columns = np.nonzero(known)[1]
         return cls(
             offsets=offsets_of(known.sum(axis=1)),
             views=views[columns].astype(np.int32),
             positions=positions[known],
+            **{name: values[known] for name, values in more.items()},
         )
 
     def keep(self: Kind, mask: BoolArray) -> Kind:

@@ -98,8 +98,8 @@ class Seen:
         observed = traced.observations
         others = np.flatnonzero(observed.views != traced.reference)
         return cls(
-            residuals=traced.residuals[others].astype(np.float64),
-            drifts=traced.drifts[others].astype(np.float64),
+            residuals=observed.residuals[others].astype(np.float64),
+            drifts=observed.drifts[others].astype(np.float64),
             owners=groups[observed.points[others]],
             views=observed.views[others].astype(np.int64),
             spare=np.bincount(groups, observed.counts - 2).astype(np.int64),

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, IntArray, long_runs, owners_of
-from colmap_edges.core.observations import ChainObservations
+from colmap_edges.core.observations import ChainObservations, Kind
 from colmap_edges.edges3d.chains.filtering import FilteredCurves, chosen, find_pieces
 from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import (
@@ -102,7 +102,7 @@ def mark_covered(
         covered[view][np.minimum(np.maximum(at + steps, first), last)] = True
 
 
-def among_all_points(observed: ChainObservations, points: Sequence[IntArray]) -> ChainObservations:
+def among_all_points(observed: Kind, points: Sequence[IntArray]) -> Kind:
     """Convert positions from indices into selected points of each view to indices into all points.
 
     Args:

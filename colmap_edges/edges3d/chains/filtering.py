@@ -15,7 +15,6 @@ from colmap_edges.core.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
-    entries_of,
     offsets_of,
     owners_of,
     runs_of,
@@ -117,12 +116,7 @@ def without_hidden(
     )
     parts = np.split(~hidden, np.cumsum([len(t.observations.views) for t in traced])[:-1])
     kept = [
-        replace(
-            t,
-            observations=t.observations.keep(seen),
-            residuals=t.residuals[seen],
-            drifts=t.drifts[seen],
-        )
+        replace(t, observations=t.observations.keep(seen))
         for t, seen in zip(traced, parts, strict=True)
     ]
     return kept, int(hidden.sum())
@@ -273,13 +267,10 @@ def chosen(traced: TracedCurves, pieces: IntArray, keep: BoolArray) -> TracedCur
     """The points where `keep` is true, as curves of their (N,) pieces."""
     lengths = np.unique(pieces[keep], return_counts=True)[1]
     points = np.flatnonzero(keep)
-    rows = entries_of(traced.observations.offsets, points)
     return TracedCurves(
         points=traced.points[keep],
         sigmas=traced.sigmas[keep],
         uncertainties=traced.uncertainties[keep],
-        residuals=traced.residuals[rows],
-        drifts=traced.drifts[rows],
         log_chances=traced.log_chances[keep],
         offsets=offsets_of(lengths),
         reference=traced.reference,

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from colmap_edges.core.arrays import (
-    BoolArray,
     FloatArray,
     IntArray,
     entries_of,
@@ -22,14 +21,14 @@ from colmap_edges.edges3d.chains.filtering import (
     filter_remains,
     find_pieces,
 )
-from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
+from colmap_edges.edges3d.chains.observing import Observers, drop_lone, placed
 from colmap_edges.edges3d.chains.refinement import (
-    WELL_ACROSS,
+    are_weak,
     joint_step,
     rounding_drifts,
     with_reference,
 )
-from colmap_edges.edges3d.chains.traced_curves import TracedCurves
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves, TracedObservations
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.duplicates import Pieces, merge_pieces
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -131,7 +130,6 @@ def refined_with(
     curves, table, residuals, information = refit(curves, table, observers)
     drifts = rounding_drifts(curves, table, observers)
     positions = np.column_stack([at_reference, table])
-    seen = np.isfinite(positions)
     with np.errstate(divide="ignore"):
         sigmas = options.refinement.noise_px / np.sqrt(information)
     return replace(
@@ -141,9 +139,12 @@ def refined_with(
         uncertainties=np.minimum(
             traced.uncertainties, sigmas / curves.inverse_depths * reference.focal_px
         ),
-        residuals=with_reference(residuals)[seen],
-        drifts=with_reference(drifts)[seen],
-        observations=ChainObservations.of_table(np.append(traced.reference, others), positions),
+        observations=TracedObservations.of_table(
+            np.append(traced.reference, others),
+            positions,
+            residuals=with_reference(residuals),
+            drifts=with_reference(drifts),
+        ),
     )
 
 
@@ -175,20 +176,11 @@ def refit(
     normals = curves.normals
     sums = observers.sums(curves, positions, normals)
     changes, shifts = joint_step(curves, sums, observers.options)
-    movable = ~weak_points(curves, sums)
+    movable = ~are_weak(curves, sums)[curves.curve_ids]
     shifts, changes = np.where(movable, (shifts, changes), 0)
     curves = replace(curves, undistorted=curves.undistorted + shifts[:, None] * normals)
     curves = replace_depths(curves, curves.inverse_depths + changes)
     return curves, *slid(curves, positions, observers)
-
-
-def weak_points(curves: Curves, sums: Sums) -> BoolArray:
-    """(N,) points parallel to the epipolar lines, whose depths come from the photometric term."""
-    count = len(curves.offsets) - 1
-    across, every = (
-        np.bincount(curves.curve_ids, of, count) for of in (sums.slope_slope, sums.speed2)
-    )
-    return np.asarray((across < WELL_ACROSS * every)[curves.curve_ids], np.bool_)
 
 
 def slid(

@@ -15,7 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from colmap_edges.core.arrays import Float32Array, FloatArray, IntArray, entries_of, owners_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    entries_of,
+    owners_of,
+)
 from colmap_edges.core.view import View
 from colmap_edges.edges3d.chains.curves import Curves, replace_depths
 from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
@@ -207,11 +214,7 @@ def align_side_gray(
     if observers.options.side_gray_weight == 0:
         return curves, positions, information
     sums = observers.sums(curves, positions)
-    count = len(curves.offsets) - 1
-    across, every = (
-        np.bincount(curves.curve_ids, of, count) for of in (sums.slope_slope, sums.speed2)
-    )
-    weak = np.flatnonzero(across < WELL_ACROSS * every)
+    weak = np.flatnonzero(are_weak(curves, sums))
     if len(weak) == 0:
         return curves, positions, information
     rows, chosen = entries_of(curves.offsets, weak), curves.select(weak)
@@ -219,6 +222,15 @@ def align_side_gray(
     moved, positions[rows], information[rows] = aligned(chosen, positions[rows], observers)
     depths[rows] = moved.inverse_depths
     return replace(curves, inverse_depths=depths), positions, information
+
+
+def are_weak(curves: Curves, sums: Sums) -> BoolArray:
+    """(E,) whether curves are along epipolar lines: their depths come from intensities."""
+    across, every = (
+        np.bincount(curves.curve_ids, of, len(curves.lengths))
+        for of in (sums.slope_slope, sums.speed2)
+    )
+    return np.asarray(across < WELL_ACROSS * every)
 
 
 def aligned(

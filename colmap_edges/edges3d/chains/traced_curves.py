@@ -9,6 +9,20 @@ from colmap_edges.core.observations import ChainObservations
 
 
 @dataclass(frozen=True, kw_only=True)
+class TracedObservations(ChainObservations):
+    """Observations of traced curves.
+
+    Attributes:
+        offsets, views, positions: those of `ChainObservations`.
+        residuals: (T,) float32 signed distances across the observing chains, in pixels.
+        drifts: (T,) float32 their changes by the radius of a rounded edge, pixels per pixel.
+    """
+
+    residuals: Float32Array
+    drifts: Float32Array
+
+
+@dataclass(frozen=True, kw_only=True)
 class TracedCurves:
     """Curves of one reference view with their observations.
 
@@ -19,17 +33,13 @@ class TracedCurves:
         reference: the view on whose chains they lie.
         observations: observations on the views' chains, those of the reference view first.
         uncertainties: (N,) `sigmas` in pixels of the reference view.
-        residuals: (T,) float32 signed distances across the observing chains, in pixels.
-        drifts: (T,) float32 their changes by the radius of a rounded edge, pixels per pixel.
         log_chances: (N,) log10 of the probability of as many accidental observations.
     """
 
     points: FloatArray
     sigmas: FloatArray
     uncertainties: FloatArray
-    residuals: Float32Array
-    drifts: Float32Array
     log_chances: FloatArray
     offsets: IntArray
     reference: int
-    observations: ChainObservations
+    observations: TracedObservations

@@ -19,7 +19,6 @@ from colmap_edges.colmap.thinning import thinned
 from colmap_edges.colmap.writing import moved_model
 from colmap_edges.core.arrays import BoolArray, Int32Array
 from colmap_edges.core.edges3d import AS_GIVEN, Edges3D, TracedEdges
-from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import View, lift
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.a_contrario import chance_of_observations
@@ -47,7 +46,7 @@ from colmap_edges.edges3d.chains.filtering import (
     lasting_points,
 )
 from colmap_edges.edges3d.chains.refinement import refine_curves, with_reference
-from colmap_edges.edges3d.chains.traced_curves import TracedCurves
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves, TracedObservations
 from colmap_edges.edges3d.chains.tracing_input import TracingInput, make_input
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
 from colmap_edges.options import BundleAdjustmentOptions, PipelineOptions, of_later_rounds
@@ -357,17 +356,17 @@ def trace_view(
     )
     inverse_depths = refined.curves.inverse_depths
     positions = np.column_stack([curves.indices, refined.positions])
-    seen = np.isfinite(positions)
     return TracedCurves(
         points=lift(reference, refined.curves.undistorted, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
         uncertainties=refined.sigmas / inverse_depths * reference.focal_px,
-        residuals=with_reference(refined.residuals)[seen],
-        drifts=with_reference(refined.drifts)[seen],
         log_chances=log_chances,
         offsets=refined.curves.offsets,
         reference=view,
-        observations=ChainObservations.of_table(
-            np.concatenate([[view], observing_views]), positions
+        observations=TracedObservations.of_table(
+            np.concatenate([[view], observing_views]),
+            positions,
+            residuals=with_reference(refined.residuals),
+            drifts=with_reference(refined.drifts),
         ),
     )

@@ -21,7 +21,7 @@ from colmap_edges.edges3d.chains.coverage import (
     without_repeats,
 )
 from colmap_edges.edges3d.chains.filtering import FilteredCurves, Limits
-from colmap_edges.edges3d.chains.traced_curves import TracedCurves
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves, TracedObservations
 from colmap_edges.edges3d.chains.tracing import trace_edges
 from colmap_edges.edges3d.chains.tracing_input import make_input
 from colmap_edges.edges3d.chains.view_selection import select_views
@@ -104,12 +104,15 @@ def along(chain, views, points, reference_observes=True):
         points=np.column_stack([points, np.zeros((count, 2))]),
         sigmas=np.ones(count),
         uncertainties=np.ones(count),
-        residuals=np.ones(np.isfinite(at).sum(), np.float32),
-        drifts=np.zeros(np.isfinite(at).sum(), np.float32),
         log_chances=np.full(count, -4.0),
         offsets=np.array([0, count]),
         reference=views[0],
-        observations=ChainObservations.of_table(np.asarray(views), at),
+        observations=TracedObservations.of_table(
+            np.asarray(views),
+            at,
+            residuals=np.ones(at.shape, np.float32),
+            drifts=np.zeros(at.shape, np.float32),
+        ),
     )
 
 

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from colmap_edges.core.arrays import offsets_of
-from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.contours import Seen, fit_radii
 from colmap_edges.edges3d.chains.filtering import (
     Limits,
@@ -11,7 +10,7 @@ from colmap_edges.edges3d.chains.filtering import (
     lasting_points,
     scatter_of_points,
 )
-from colmap_edges.edges3d.chains.traced_curves import TracedCurves
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves, TracedObservations
 from colmap_edges.options import TracingOptions
 
 
@@ -31,13 +30,14 @@ def traced_curves(log_chances, num_observations, lengths, residuals=0.0, drifts=
         points=np.zeros((count, 3)),
         sigmas=np.ones(count),
         uncertainties=np.ones(count),
-        residuals=residuals[observed].astype(np.float32),
-        drifts=drifts[observed].astype(np.float32),
         log_chances=np.asarray(log_chances, float),
         offsets=offsets,
         reference=0,
-        observations=ChainObservations.of_table(
-            np.arange(num_views), np.where(observed, 1.0, np.nan)
+        observations=TracedObservations.of_table(
+            np.arange(num_views),
+            np.where(observed, 1.0, np.nan),
+            residuals=residuals.astype(np.float32),
+            drifts=drifts.astype(np.float32),
         ),
     )
 
@@ -91,8 +91,8 @@ def test_what_scatters_is_an_outline_though_half_of_its_points_fit():
     traced = traced_curves([-4.0] * 40, [6] * 40, [20, 20], fits + moves)
     limits = Limits(uncertainty_px=1.0, residual_px=0.4, log_chance=-3.0)
     edges, contours = filter_pieces(traced, np.ones(40, bool), limits, TracingOptions())
-    np.testing.assert_array_equal(edges.residuals, np.repeat(np.float32(fits), 6))
-    np.testing.assert_array_equal(contours.residuals, np.repeat(np.float32(moves), 6))
+    np.testing.assert_array_equal(edges.observations.residuals, np.repeat(np.float32(fits), 6))
+    np.testing.assert_array_equal(contours.observations.residuals, np.repeat(np.float32(moves), 6))
 
 
 def test_limit_of_scatter_is_by_the_scenes_own_and_not_below_what_edges_have():
@@ -158,7 +158,8 @@ def test_outlines_of_rounded_bodies_are_contours(angles, radius, noise):
 
 def test_the_residuals_of_contours_may_be_as_small_as_those_of_edges():
     noisy, moving = seen_from(WIDE, 0.0, 0.0, 0.25), seen_from(NARROW, 50.0, 0.0, 0.01)
-    assert np.abs(moving.residuals).mean() < np.abs(noisy.residuals).mean()
+    sizes = [np.abs(of.observations.residuals).mean() for of in (moving, noisy)]
+    assert sizes[0] < sizes[1]
     assert is_edge(noisy)
     assert not is_edge(moving)
 
