@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from colmap_edges.core.arrays import (
     FloatArray,
     IntArray,
-    entries_of,
     offsets_of,
 )
 from colmap_edges.core.observations import ChainObservations
@@ -71,8 +70,8 @@ def merge_traced(
         left = chosen(each, find_pieces(each, stays, np.inf, options.tracing)[0], stays)
         takers = np.cumsum(stays)[merging.takers[rows] - starts[place]] - 1
         if len(rows):
-            taken = taken_observations(pieces.observations, merging.givers[rows], takers)
-            left = refined_with(given, left, taken, options, num_threads)
+            taken = pieces.observations.select(merging.givers[rows])
+            left = refined_with(given, left, takers, taken, options, num_threads)
         fixed, moving = filter_remains(left, kept.limits, options.tracing)
         edges.append(fixed)
         contours.append(moving)
@@ -80,37 +79,17 @@ def merge_traced(
     return replace(kept, edges=edges, contours=contours), count
 
 
-@dataclass(frozen=True, kw_only=True)
-class Taken:
-    """Observations taken over by (R,) points: views and positions on their chains."""
-
-    points: IntArray
-    views: IntArray
-    positions: FloatArray
-
-
-def taken_observations(
-    observations: ChainObservations, givers: IntArray, takers: IntArray
-) -> Taken:
-    """Collect the observations that points take over, one row per observation."""
-    rows = entries_of(observations.offsets, givers)
-    return Taken(
-        points=np.repeat(takers, observations.counts[givers]),
-        views=observations.views[rows].astype(np.int64),
-        positions=observations.positions[rows],
-    )
-
-
 def refined_with(
     given: TracingInput,
     traced: TracedCurves,
-    taken: Taken,
+    takers: IntArray,
+    taken: ChainObservations,
     options: PipelineOptions,
     num_threads: int,
 ) -> TracedCurves:
-    """Refine curves of one reference view on their own observations and those taken over."""
+    """Refine curves of one reference view on their own observations and those (R,) points take."""
     reference = given.views[traced.reference]
-    others, table = observation_table(traced, taken)
+    others, table = observation_table(traced, takers, taken)
     at_reference, table = table[:, 0], np.ascontiguousarray(table[:, 1:])
     undistorted, depths = reference.project_undistorted(traced.points)
     curves = Curves(
@@ -148,7 +127,9 @@ def refined_with(
     )
 
 
-def observation_table(traced: TracedCurves, taken: Taken) -> tuple[IntArray, FloatArray]:
+def observation_table(
+    traced: TracedCurves, takers: IntArray, taken: ChainObservations
+) -> tuple[IntArray, FloatArray]:
     """The K other views that observe curves, and (N, 1 + K) positions on their chains.
 
     The first column is the reference view. Own observations have priority over those taken over.
@@ -156,7 +137,7 @@ def observation_table(traced: TracedCurves, taken: Taken) -> tuple[IntArray, Flo
     own = traced.observations
     views = np.unique(np.concatenate([own.views, taken.views, [traced.reference]]))
     table = np.full((len(traced.points), len(views)), np.nan)
-    table[taken.points, np.searchsorted(views, taken.views)] = taken.positions
+    table[takers[taken.points], np.searchsorted(views, taken.views)] = taken.positions
     table[own.points, np.searchsorted(views, own.views)] = own.positions
     at = int(np.searchsorted(views, traced.reference))
     others = np.delete(np.arange(len(views)), at)
