@@ -88,7 +88,7 @@ def chain_of(image_path: Path, input_path: Path, image_name: str) -> Chain:
     )
     graphs = Graphs.of([graph_of_image(work, i, view)[0] for i, view in enumerate(model.views)])
     near = select_views(model, settings.view_selection)
-    given = with_side_likelihoods(make_input(model, graphs, near), near, settings, 1)
+    given = with_side_likelihoods(make_input(model, graphs, near), near, settings)
     view = [each.name for each in model.views].index(image_name)
     depths = compute_chain_depths(given, view, near.ranges[view], settings.chain_depth, 1)
     graph = given.graph(view)

@@ -99,11 +99,13 @@ class View:
 
     def rays(self, pixels: FloatArray) -> FloatArray:
         """(N, 3) viewing rays in world coordinates, of depth 1, of (N, 2) image pixels; or NaN."""
-        undistorted = self.undistorted_from_image(pixels) / self.focal_px
-        directions: FloatArray = (
-            np.column_stack([undistorted, np.ones(len(undistorted))]) @ self.rotation
-        )
-        return directions
+        return self.rays_of_undistorted(self.undistorted_from_image(pixels))
+
+    def rays_of_undistorted(self, undistorted: FloatArray) -> FloatArray:
+        """(..., 3) viewing rays in the world, of depth 1, of (..., 2) undistorted pixels."""
+        depths = np.ones((*undistorted.shape[:-1], 1))
+        local = np.concatenate([undistorted / self.focal_px, depths], axis=-1)
+        return np.asarray(local @ self.rotation)
 
     def cam_from_world(self, points: FloatArray) -> FloatArray:
         """(N, 3) world points in camera coordinates; z is the depth."""

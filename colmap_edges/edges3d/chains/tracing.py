@@ -85,11 +85,8 @@ def trace_edges(
             return trace_edges(model, graphs, options, workers)
     few = thinned(model, options.random_seed)
     near = select_views(few, options.view_selection)
-    whole, num_threads = make_input(few, graphs, near), thread_count(options)
-    sides = learn_side_likelihoods(
-        whole, near.ranges, options.chain_depth, options.random_seed, num_threads
-    )
-    whole = replace(whole, sides=sides)
+    whole = with_side_likelihoods(make_input(few, graphs, near), near, options)
+    num_threads = thread_count(options)
     pieces, outlines, few, whole, stats = trace_pieces(model, few, whole, near, options, workers)
     graphs.trim()
     result, linked = link(whole, pieces, options, num_threads)
@@ -99,6 +96,16 @@ def trace_edges(
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
     }
     return replace(result, outlines=seen, poses=pieces.poses), about | stats | linked
+
+
+def with_side_likelihoods(
+    given: TracingInput, near: Neighborhood, options: PipelineOptions
+) -> TracingInput:
+    """The same input with side likelihoods learned from its views."""
+    learned = learn_side_likelihoods(
+        given, near.ranges, options.chain_depth, options.random_seed, thread_count(options)
+    )
+    return replace(given, sides=learned)
 
 
 def trace_pieces(

@@ -124,8 +124,7 @@ def find_anchored_pieces(
         pieces = straight_pieces(graph, known, STRAIGHT_PX)
         ends = pieces.ends[pieces.observed <= MAX_OBSERVED]
         if len(ends):
-            local = np.concatenate([ends / view.focal_px, np.ones((len(ends), 2, 1))], axis=2)
-            rays = local @ view.rotation
+            rays = view.rays_of_undistorted(ends)
             normals = unit(np.cross(rays[:, 0], rays[:, 1]))
             seen = entries_of(edges.edge_offsets, np.unique(edges_seen[rows]))
             anchors = find_anchors(lines.select(seen), ends, normals, view)

@@ -40,11 +40,10 @@ def lines_of(view: View, index: int, graph: EdgeGraph, is_fixed: BoolArray) -> L
     """The straight pieces of a view's chains; fixed 3D edges observe (n,) of their points."""
     pieces = straight_pieces(graph, is_fixed, STRAIGHT_PX)
     count = len(pieces.lengths)
-    local = np.concatenate([pieces.ends / view.focal_px, np.ones((count, 2, 1))], axis=2)
     return Lines(
         views=np.full(count, index, np.int32),
         centers=np.tile(view.center, (count, 1)),
-        rays=unit(local @ view.rotation),
+        rays=unit(view.rays_of_undistorted(pieces.ends)),
         focals=np.full(count, view.focal_px),
         lengths=pieces.lengths,
         fixed=pieces.observed,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, Table
+from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, Table, ranks_of
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
@@ -45,15 +45,14 @@ def samples_of(view: View, index: int, graph: EdgeGraph, is_fixed: BoolArray) ->
     points = graph.undistorted.astype(np.float64)
     lengths = np.diff(graph.polyline_offsets)
     ids = graph.polyline_ids
-    ranks = np.arange(len(points)) - graph.polyline_offsets[ids]
+    ranks = ranks_of(lengths)
     inner = (ranks >= HALF_WINDOW) & (ranks < lengths[ids] - HALF_WINDOW)
     inner &= (lengths[ids] >= MIN_POINTS) & ((ranks - HALF_WINDOW) % STEP == 0)
     rows = np.flatnonzero(inner)
     reach = np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
     tangents = np.einsum("k,nkj->nj", reach, points[rows[:, None] + reach])
     flat = np.column_stack([tangents, np.zeros(len(rows))]) @ view.rotation
-    local = np.column_stack([points[rows] / view.focal_px, np.ones(len(rows))])
-    rays = unit(local @ view.rotation)
+    rays = unit(view.rays_of_undistorted(points[rows]))
     normals = unit(np.cross(rays, flat))
     return Samples(
         views=np.full(len(rows), index, np.int32),
