@@ -68,14 +68,7 @@ def background_stage(
 def sky_stage(
     model: Model, edges: Edges3D, pictures: Mapping[int, Picture], stages: Stages
 ) -> tuple[Background | None, Sequence[BackgroundMask]]:
-    """Find the rays of the sky, and its masks; none if too few images show a sky.
-
-    Args:
-        model: gives the V views and the SfM points.
-        edges: its 3D edges.
-        pictures: small pictures of the views.
-        stages: the stages of the run.
-    """
+    """Find the rays of the sky in small pictures of views, and its masks; none if few show it."""
     with stages.stage("sky") as stage:
         background, masks = find_sky(model, edges, pictures) or (None, ())
         stage.counts = {
@@ -97,14 +90,7 @@ def face_stage(
 ) -> Faces:
     """Find the planar faces between 3D edges, none before a background or through a round face.
 
-    Args:
-        model: gives the V views and the SfM points.
-        edges: its 3D edges.
-        grids: reduced images of the views.
-        options: options of all stages.
-        stages: the stages of the run.
-        masks: (V,) background of the images; empty without one.
-        round_faces: what the planar ones may lie behind.
+    `grids` are reduced images by view, `masks` the backgrounds of all views; empty without one.
     """
     with stages.stage("faces") as stage:
         bodies = spread_bodies(model.views, masks, edges.points).values() if masks else ()
@@ -136,16 +122,7 @@ def round_stage(
     options: PipelineOptions,
     stages: Stages,
 ) -> FoundRound:
-    """Find cylinders and other faces of revolution.
-
-    Args:
-        model: gives the V views and the SfM points.
-        edges: its 3D edges.
-        curves: the curves of the edges.
-        outlines: what may be their outlines.
-        options: options of all stages.
-        stages: the stages of the run.
-    """
+    """Find cylinders and other faces of revolution whose outlines are among some chains."""
     with stages.stage("round_faces") as stage:
         evidence, seed = gather_evidence(model, edges), options.random_seed
         lines, samples = outlines
@@ -178,18 +155,7 @@ def mesh_stage(
     patches: Patches = NO_PATCHES,
     cloud: DenseCloud | None = None,
 ) -> Mesh:
-    """Mesh a model's points and what was found.
-
-    Args:
-        model: the model.
-        traced: the edges, if there are any.
-        extended: the model with the edges' points.
-        options: options of all stages.
-        stages: the stages of the run.
-        background: background rays.
-        faces: planar faces.
-        patches: points where images have texture.
-        cloud: a dense cloud.
+    """Mesh a model's points and what was found; `extended` also has the points of the edges.
 
     Raises:
         ColmapEdgesError: if no image observes a point.
@@ -229,20 +195,10 @@ def write_mesh_stage(
     stages: Stages,
     up: FloatArray,
 ) -> Mesh:
-    """Write a mesh, with a texture if a format holds it and there are images.
+    """Write a mesh and return it, with a texture if a format holds it and there are images.
 
-    Args:
-        model: the model, whose views see the mesh.
-        mesh: the mesh.
-        paths: the paths of the run.
-        folder: output folder.
-        formats: further formats in which the mesh will be written.
-        options: options of all stages.
-        stages: the stages of the run.
-        up: (3,) upward direction, for files with a convention of it.
-
-    Returns:
-        The mesh with its texture.
+    `formats` are further ones in which it will be written, and `up` is the (3,) upward direction,
+    for files with a convention of it.
     """
     held = any(name.upper() in TEXTURED for name in (options.mesh_type, *formats))
     if held and paths.image_path and options.texture_size and len(mesh.faces):
