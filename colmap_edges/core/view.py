@@ -131,6 +131,17 @@ class View:
         return np.asarray(inside & (depths > 0))
 
 
+def cells_seen(
+    view: View, points: FloatArray, shape: tuple[int, ...]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Indices of the (N, 3) points in an image, their rows and columns in its (h, w) picture."""
+    pixels, depths = view.project(points)
+    seen = np.flatnonzero(view.holds(pixels, depths))
+    scale = np.array(shape[1::-1]) / (view.width, view.height)
+    columns, rows = np.floor(pixels[seen] * scale).astype(np.int64).T
+    return seen, rows, columns
+
+
 def in_images(views: Sequence[View], points: FloatArray) -> BoolArray:
     """(V, N) whether (N, 3) world points are in the images of V views.
 

@@ -28,7 +28,7 @@ from colmap_edges.core.arrays import (
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
-from colmap_edges.core.view import View
+from colmap_edges.core.view import View, cells_seen
 from colmap_edges.errors import check_type
 from colmap_edges.images.background import (
     BackgroundMask,
@@ -90,10 +90,7 @@ class Body(NamedTuple):
 
     def at(self, points: FloatArray) -> tuple[IntArray, BoolArray]:
         """(K,) indices of the (N, 3) points in the image, (K,) whether in the foreground."""
-        pixels, depths = self.view.project(points)
-        scale = np.array(self.mask.shape[::-1]) / (self.view.width, self.view.height)
-        seen = np.flatnonzero(self.view.holds(pixels, depths))
-        columns, rows = np.floor(pixels[seen] * scale).astype(np.int64).T
+        seen, rows, columns = cells_seen(self.view, points, self.mask.shape)
         return seen, self.mask[rows, columns]
 
     def holds(self, points: FloatArray) -> BoolArray:

@@ -22,7 +22,6 @@ from colmap_edges.core.arrays import (
     IntArray,
     Table,
     blocks,
-    entries_of,
     grown,
     joined_lists,
     long_runs,
@@ -283,11 +282,9 @@ def seen_by(pieces: Pieces, matches: Matches) -> Seen:
     for some in blocks(len(matches.points), 1 << 11):
         found = []
         for side, of in enumerate((matches.points, matches.others)):
-            points = of[some]
-            rows = entries_of(observed.offsets, points)
-            owners = np.repeat(np.arange(len(points)), observed.counts[points])
-            keys = owners * num_views + observed.views[rows]
-            found.append((keys, np.full(len(rows), side), observed.positions[rows]))
+            own = observed.select(of[some])
+            keys = own.points * num_views + own.views
+            found.append((keys, np.full(len(keys), side), own.positions))
         keys, sides, positions = (np.concatenate(of) for of in zip(*found, strict=True))
         each, place = np.unique(keys, return_inverse=True)
         table = np.full((len(each), 2), -1.0)

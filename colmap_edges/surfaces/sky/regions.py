@@ -19,7 +19,7 @@ from colmap_edges.core.arrays import (
     parts_of,
 )
 from colmap_edges.core.polylines import unit
-from colmap_edges.core.view import View
+from colmap_edges.core.view import View, cells_seen
 from colmap_edges.images.files import square
 
 PICTURE_PX = 320  # longer side of a small picture
@@ -80,24 +80,17 @@ def small_picture(view: View, image: Picture, usable: object = None) -> Picture:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def scale_of(view: View, picture: Picture) -> FloatArray:
-    """(2,) small pixels per image pixel, along columns and rows."""
-    return np.array(picture.shape[1::-1]) / (view.width, view.height)
-
-
 def small_pixels(view: View, picture: Picture, points: FloatArray) -> tuple[IntArray, IntArray]:
     """Indices of the (N, 3) points in a view's image, and of their pixels in its picture."""
-    pixels, depths = view.project(points)
-    seen = np.flatnonzero(view.holds(pixels, depths))
-    columns, rows = np.floor(pixels[seen] * scale_of(view, picture)).astype(np.int64).T
+    seen, rows, columns = cells_seen(view, points, picture.shape)
     return seen, rows * picture.shape[1] + columns
 
 
 def rays_of(view: View, picture: Picture, pixels: IntArray) -> FloatArray:
     """(n, 3) unit viewing rays of (n,) pixels of a view's flattened picture; or NaN."""
     rows, columns = np.divmod(pixels, picture.shape[1])
-    rays = view.rays((np.column_stack([columns, rows]) + 0.5) / scale_of(view, picture))
-    return unit(rays)
+    scale = np.array(picture.shape[1::-1]) / (view.width, view.height)
+    return unit(view.rays((np.column_stack([columns, rows]) + 0.5) / scale))
 
 
 def find_regions(
