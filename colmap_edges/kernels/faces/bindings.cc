@@ -116,8 +116,9 @@ nb::tuple RestrictedArrays(Table costs, Table depths, Pairs edges, Doubles weigh
   return ToArrays(Restricted(problem, ToInts(nodes), ToInts(labels)));
 }
 
-EnclosureOptions ToOptions(const Pairs& directions, int max_open, double min_share) {
-  EnclosureOptions options{{}, max_open, min_share};
+EnclosureOptions ToOptions(const Pairs& directions, int max_open, double min_share, int side = 1) {
+  Require(side > 0, "sides must have cells");
+  EnclosureOptions options{{}, max_open, min_share, side};
   for (size_t i = 0; i < directions.shape(0); ++i) {
     Require(directions(i, 0) != 0 || directions(i, 1) != 0, "directions must not be 0");
     options.directions.push_back({directions(i, 0), directions(i, 1)});
@@ -228,18 +229,29 @@ class BoundFaceScene {
                 [&](int64_t v, int) { scene_.Prepare(int32_t(v)); });
   }
 
-  OutArray<int32_t> Label(Doubles w, Doubles b, int num_rounds, int max_sweeps, int num_threads) {
-    Require(w.size() == 11 && b.size() == 4, "weights are missing");
-    scene_.weights = {w(0), w(1), w(2), w(3), w(4), w(5), w(6), w(7), w(8), w(9), w(10)};
-    const BorderCosts borders{b(0), b(1), b(2), b(3)};
-    std::vector<int32_t> all;
+  OutArray<int32_t> Label(Doubles weights, Doubles borders, int num_rounds, int max_sweeps,
+                          int num_threads) {
+    SetWeights(weights);
+    const BorderCosts costs = ToBorderCosts(borders);
+    ViewLabels labels;
     {
       nb::gil_scoped_release release;
-      for (const auto& labels : LabelViews(scene_, borders, num_rounds, max_sweeps, num_threads))
-        all.insert(all.end(), labels.begin(), labels.end());
+      labels = LabelViews(scene_, costs, num_rounds, max_sweeps, num_threads);
     }
-    const size_t count = all.size();
-    return ToArray(std::move(all), {count});
+    return Joined(labels);
+  }
+
+  OutArray<int32_t> Refine(Doubles weights, Doubles borders, Ints start, int reach, int max_sweeps,
+                           int num_threads) {
+    SetWeights(weights);
+    const BorderCosts costs = ToBorderCosts(borders);
+    const ViewLabels labels = ByView(start);
+    ViewLabels refined;
+    {
+      nb::gil_scoped_release release;
+      refined = RefineLabels(scene_, costs, labels, reach, max_sweeps, num_threads);
+    }
+    return Joined(refined);
   }
 
   nb::tuple Support(Ints all, double tolerance, int num_threads) {
@@ -277,7 +289,7 @@ class BoundFaceScene {
 
   OutArray<int64_t> CountEnclosing(Ints all, Bytes plain, Points3D points, Ints planes,
                                    Longs offsets, Ints views, Pairs steps, int max_open,
-                                   double min_share, int num_threads) {
+                                   double min_share, int side, int num_threads) {
     const ViewLabels labels = ByView(all);
     Require(plain.size() == all.size(), "labels and plain cells differ in number");
     std::vector<const uint8_t*> plain_cells{plain.data()};
@@ -288,7 +300,7 @@ class BoundFaceScene {
     CheckViews(views, scene_.views.size());
     const PlaneSamples samples{points.data(), planes.data(), offsets.data(), views.data(),
                                int64_t(count)};
-    const EnclosureOptions options = ToOptions(steps, max_open, min_share);
+    const EnclosureOptions options = ToOptions(steps, max_open, min_share, side);
     std::vector<int64_t> counts;
     {
       nb::gil_scoped_release release;
@@ -299,6 +311,23 @@ class BoundFaceScene {
   }
 
  private:
+  void SetWeights(const Doubles& w) {
+    Require(w.size() == 11, "weights are missing");
+    scene_.weights = {w(0), w(1), w(2), w(3), w(4), w(5), w(6), w(7), w(8), w(9), w(10)};
+  }
+
+  static BorderCosts ToBorderCosts(const Doubles& b) {
+    Require(b.size() == 4, "costs of borders are missing");
+    return {b(0), b(1), b(2), b(3)};
+  }
+
+  static OutArray<int32_t> Joined(const ViewLabels& labels) {
+    std::vector<int32_t> all;
+    for (const auto& of_view : labels) all.insert(all.end(), of_view.begin(), of_view.end());
+    const size_t count = all.size();
+    return ToArray(std::move(all), {count});
+  }
+
   ViewLabels ByView(const Ints& all) const {
     ViewLabels labels;
     size_t first = 0;
@@ -347,11 +376,14 @@ void BindFaces(nb::module_& m) {
            "directions"_a, "extents"_a, "num_threads"_a)
       .def("label", &BoundFaceScene::Label, "weights"_a, "borders"_a, "num_rounds"_a,
            "max_sweeps"_a, "num_threads"_a, "Labels of the cells of all views; -1 is no plane.")
+      .def("refine", &BoundFaceScene::Refine, "weights"_a, "borders"_a, "start"_a, "reach"_a,
+           "max_sweeps"_a, "num_threads"_a,
+           "Labels near the borders of given ones, each from those within the reach.")
       .def("support", &BoundFaceScene::Support, "labels"_a, "tolerance"_a, "num_threads"_a,
            "Points of labelled cells; view, cell, plane, views that agree, that see through, that "
            "are hidden from; the agreeing views in rows.")
       .def("count_enclosing", &BoundFaceScene::CountEnclosing, "labels"_a, "plain"_a, "points"_a,
-           "planes"_a, "offsets"_a, "views"_a, "steps"_a, "max_open"_a, "min_share"_a,
+           "planes"_a, "offsets"_a, "views"_a, "steps"_a, "max_open"_a, "min_share"_a, "side"_a,
            "num_threads"_a,
            "(S,) number of agreeing views that show a sample in an enclosed cell of its plane.");
 }

@@ -19,6 +19,7 @@ struct EnclosureOptions {
   std::vector<CellStep> directions;  // sorted by angle
   int max_open;                      // maximum number of adjacent open directions
   double min_share;                  // minimum share of enclosed cells of a whole piece
+  int32_t side;  // cells along a side of those that an observed point stands for
 };
 
 // A view's cells: planes, -1 for none, and for every cell and plane whether points are observed.
@@ -106,26 +107,28 @@ inline std::vector<uint8_t> WholePieces(const CellGrid& grid, const std::vector<
   return held;
 }
 
-constexpr int32_t kMeetCells = 2;  // cells, each way, in which a plane ends at another one's cell
+// Sides of what a point stands for, each way, in which a plane ends at another one's cell.
+constexpr int32_t kMeetSides = 2;
 
 // Planes end where they meet the plane of a cell next to theirs: walls end at the floor. Two planes
 // meet where the line in which they intersect passes through the window around a cell.
 inline void TouchWherePlanesMeet(const FaceView& view, const int32_t* labels,
-                                 const std::vector<Vec3>& inverse_depths,
+                                 const std::vector<Vec3>& inverse_depths, int32_t side,
                                  std::vector<uint8_t>* touched) {
+  const int32_t reach = kMeetSides * side;
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const int32_t own = labels[cell], x = cell % view.columns, y = cell / view.columns;
     if (own < 0) continue;
     const Vec2 pixel = view.CellCenter(cell);
-    const int32_t right = std::min(x + kMeetCells, view.columns - 1);
-    const int32_t bottom = std::min(y + kMeetCells, view.rows - 1);
-    for (int32_t j = std::max(y - kMeetCells, 0); j <= bottom; ++j) {
-      for (int32_t i = std::max(x - kMeetCells, 0); i <= right; ++i) {
+    const int32_t right = std::min(x + reach, view.columns - 1);
+    const int32_t bottom = std::min(y + reach, view.rows - 1);
+    for (int32_t j = std::max(y - reach, 0); j <= bottom; ++j) {
+      for (int32_t i = std::max(x - reach, 0); i <= right; ++i) {
         const int32_t other = labels[j * view.columns + i];
         if (other < 0 || other == own) continue;
         const Vec3 line = inverse_depths[other] - inverse_depths[own];
         const double off = Dot(line, {pixel.x, pixel.y, 1});
-        if (std::abs(off) <= kMeetCells * FaceView::kCellPx * (std::abs(line.x) + std::abs(line.y)))
+        if (std::abs(off) <= reach * FaceView::kCellPx * (std::abs(line.x) + std::abs(line.y)))
           (*touched)[cell * inverse_depths.size() + other] = true;
       }
     }
@@ -152,7 +155,7 @@ inline bool TouchBehind(const FaceView& view, const int32_t* labels,
   return any;
 }
 
-constexpr int32_t kFarCells = 3;    // minimum distance of cells from all observed points, each way
+constexpr int32_t kFarSides = 3;    // minimum distance from all observed points, each way
 constexpr float kTexture = 9;       // minimum of `TextureAround`, in levels squared
 constexpr float kAlike = 0.2f;      // maximum of `ComparedPlane::Difference` on a plane
 constexpr float kUnlike = 0.4f;     // minimum on parallel ones, as otherwise all depths look alike
@@ -161,15 +164,16 @@ constexpr double kParallel = 1.05;  // ratio of the distances of these from the 
 // Where no points are observed, a plane is known as well as at one if other views show the same
 // texture on it, and on none before or behind it: a lawn before the cameras.
 inline void TouchWhereTextureAgrees(const FaceScene& scene, int32_t v, const int32_t* labels,
-                                    std::vector<uint8_t>* touched) {
+                                    int32_t side, std::vector<uint8_t>* touched) {
   const FaceView& view = scene.views[v];
+  const int32_t reach = kFarSides * side;
   std::vector<uint8_t> is_near(view.num_cells(), false);
   for (const ObservedPoint& sight : scene.sights(v)) {
     const int32_t x = sight.cell % view.columns, y = sight.cell / view.columns;
-    const int32_t right = std::min(x + kFarCells, view.columns);
-    const int32_t bottom = std::min(y + kFarCells, view.rows);
-    for (int32_t j = std::max(y - kFarCells + 1, 0); j < bottom; ++j)
-      for (int32_t i = std::max(x - kFarCells + 1, 0); i < right; ++i)
+    const int32_t right = std::min(x + reach, view.columns);
+    const int32_t bottom = std::min(y + reach, view.rows);
+    for (int32_t j = std::max(y - reach + 1, 0); j < bottom; ++j)
+      for (int32_t i = std::max(x - reach + 1, 0); i < right; ++i)
         is_near[j * view.columns + i] = true;
   }
   std::vector<std::vector<ComparedPlane>> compared(scene.planes.size());
@@ -195,11 +199,17 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
   const size_t count = scene.planes.size();
   std::vector<uint8_t> touched(view.num_cells() * count, false);
   for (const ObservedPoint& sight : scene.sights(v)) {
-    uint8_t* cell = &touched[sight.cell * count];
     const FacePoints& points = scene.points;
-    for (int64_t j = points.plane_offsets[sight.point]; j < points.plane_offsets[sight.point + 1];
-         ++j)
-      cell[points.planes[j]] = true;
+    const int32_t side = options.side;
+    const int32_t left = sight.cell % view.columns / side * side;
+    const int32_t top = sight.cell / view.columns / side * side;
+    const int32_t right = std::min(left + 2 * side - 1, view.columns);
+    const int32_t bottom = std::min(top + 2 * side - 1, view.rows);
+    for (int32_t y = std::max(top - side + 1, 0); y < bottom; ++y)
+      for (int32_t x = std::max(left - side + 1, 0); x < right; ++x)
+        for (int64_t j = points.plane_offsets[sight.point];
+             j < points.plane_offsets[sight.point + 1]; ++j)
+          touched[(y * view.columns + x) * count + points.planes[j]] = true;
   }
   std::vector<Vec3> inverse_depths;
   for (const Plane& plane : scene.planes) inverse_depths.push_back(view.InverseDepthOf(plane));
@@ -210,8 +220,8 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
     for (size_t k = 0; k < count; ++k)
       touched[cell * count + k] |= view.Hides(cell, 1 / Dot(inverse_depths[k], {at.x, at.y, 1}));
   }
-  TouchWherePlanesMeet(view, labels, inverse_depths, &touched);
-  TouchWhereTextureAgrees(scene, v, labels, &touched);
+  TouchWherePlanesMeet(view, labels, inverse_depths, options.side, &touched);
+  TouchWhereTextureAgrees(scene, v, labels, options.side, &touched);
   std::vector<uint8_t> inside(view.num_cells(), false);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const int32_t label = labels[cell];

@@ -60,6 +60,25 @@ struct ViewCosts {
   std::vector<int32_t> labels;       // of all planes; -1 of those that are none of the labels
   std::vector<float> costs, depths;  // (cells, planes + 1)
   std::vector<uint8_t> hopeless;     // (cells, planes + 1), of which other views are not asked
+
+  ViewCosts() = default;
+  ViewCosts(std::vector<int32_t> of_view, size_t num_planes)
+      : planes(std::move(of_view)), labels(num_planes, -1) {
+    for (size_t k = 0; k < planes.size(); ++k) labels[planes[k]] = int32_t(k);
+  }
+
+  int32_t none() const { return int32_t(planes.size()); }
+  // Labels of planes or -1, and the other way round.
+  std::vector<int32_t> LabelsOf(const std::vector<int32_t>& of_cells) const {
+    std::vector<int32_t> made;
+    for (const int32_t plane : of_cells) made.push_back(plane < 0 ? none() : labels[plane]);
+    return made;
+  }
+  std::vector<int32_t> PlanesOf(const std::vector<int32_t>& of_cells) const {
+    std::vector<int32_t> made;
+    for (const int32_t label : of_cells) made.push_back(label == none() ? -1 : planes[label]);
+    return made;
+  }
 };
 
 class FaceScene {
@@ -110,7 +129,13 @@ class FaceScene {
                                     int32_t min_cells) const;
 
   // Of some planes by what is observed.
-  ViewCosts Costs(int32_t v, std::vector<int32_t> planes_of_view) const;
+  ViewCosts Costs(int32_t v, std::vector<int32_t> planes_of_view) const {
+    ViewCosts made(std::move(planes_of_view), planes.size());
+    AddCosts(v, std::vector<uint8_t>(size_t(views[v].num_cells()) * (made.none() + 1), 1), &made);
+    return made;
+  }
+  // Of the labels (cells, labels) that are asked for; others cost infinitely much.
+  void AddCosts(int32_t v, const std::vector<uint8_t>& asked, ViewCosts* made) const;
   // By the labels of all views, planes or -1.
   void AddLabels(int32_t v, const std::vector<std::vector<int32_t>>& labels, ViewCosts* made) const;
 
@@ -494,41 +519,38 @@ inline void FaceScene::AddLabels(int32_t v, const std::vector<std::vector<int32_
   }
 }
 
-inline ViewCosts FaceScene::Costs(int32_t v, std::vector<int32_t> planes_of_view) const {
+inline void FaceScene::AddCosts(int32_t v, const std::vector<uint8_t>& asked,
+                                ViewCosts* made) const {
   const FaceView& view = views[v];
-  ViewCosts made;
-  made.planes = std::move(planes_of_view);
-  const int32_t num_planes = int32_t(made.planes.size()), num_labels = num_planes + 1;
-  made.labels.assign(planes.size(), -1);
-  for (int32_t k = 0; k < num_planes; ++k) made.labels[made.planes[k]] = k;
+  const int32_t num_planes = int32_t(made->planes.size()), num_labels = num_planes + 1;
   const size_t size = size_t(view.num_cells()) * num_labels;
-  made.depths.assign(size, NAN), made.costs.assign(size, 0), made.hopeless.assign(size, true);
+  made->depths.assign(size, NAN), made->costs.assign(size, 0), made->hopeless.assign(size, true);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     if (view.IsBackground(cell)) continue;
     const Vec3 ray = view.RayOfCell(cell);
     for (int32_t k = 0; k < num_planes; ++k) {
-      const double depth = planes[made.planes[k]].DepthAlong(view.pose.center, ray);
+      const size_t at = size_t(cell) * num_labels + k;
+      if (!asked[at]) continue;
+      const double depth = planes[made->planes[k]].DepthAlong(view.pose.center, ray);
       const Vec3 point = view.pose.center + depth * ray;
       if (!(Norm(point - center) <= reach) || view.Hides(cell, depth)) continue;
-      made.depths[size_t(cell) * num_labels + k] = float(depth);
-      if (extents[made.planes[k]].Holds(point))
-        made.costs[size_t(cell) * num_labels + k] -= float(weights.inside);
+      made->depths[at] = float(depth);
+      if (extents[made->planes[k]].Holds(point)) made->costs[at] -= float(weights.inside);
     }
   }
-  AddPoints(v, &made);
-  AddMissed(v, &made);
-  AddSights(v, &made);
-  if (weights.correlation > 0) AddCorrelation(v, &made);
+  AddPoints(v, made);
+  AddMissed(v, made);
+  AddSights(v, made);
+  if (weights.correlation > 0) AddCorrelation(v, made);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
-    float* costs = &made.costs[size_t(cell) * num_labels];
+    float* costs = &made->costs[size_t(cell) * num_labels];
     for (int32_t k = 0; k < num_planes; ++k) {
       costs[k] += 1;
-      if (std::isnan(made.depths[size_t(cell) * num_labels + k]))
+      if (std::isnan(made->depths[size_t(cell) * num_labels + k]))
         costs[k] = std::numeric_limits<float>::infinity();
     }
     costs[num_planes] = float(weights.no_plane);
   }
-  return made;
 }
 
 }  // namespace colmap_edges

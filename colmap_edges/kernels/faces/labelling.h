@@ -56,10 +56,27 @@ struct Blocks {
   }
 };
 
-// Which labels lie within `reach` of every cell, each way: (cells, labels).
-inline std::vector<uint8_t> NearLabels(const FaceView& view, const std::vector<int32_t>& labels,
-                                       int32_t num_labels, int32_t reach) {
-  const auto spread = [&](const std::vector<uint8_t>& from, bool along_rows) {
+// Which labels lie within `reach` of every cell, each way.
+struct NearLabels {
+  int32_t num_labels;
+  std::vector<uint8_t> is_near;       // (cells, labels)
+  std::vector<int32_t> border_cells;  // near which there are several
+
+  NearLabels(const FaceView& view, const std::vector<int32_t>& labels, int32_t num_labels,
+             int32_t reach)
+      : num_labels(num_labels), is_near(labels.size() * num_labels, 0) {
+    for (size_t cell = 0; cell < labels.size(); ++cell)
+      is_near[cell * num_labels + labels[cell]] = 1;
+    is_near = Spread(view, Spread(view, is_near, reach, true), reach, false);
+    for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+      const auto begin = is_near.begin() + ptrdiff_t(cell) * num_labels;
+      if (std::count(begin, begin + num_labels, 1) > 1) border_cells.push_back(cell);
+    }
+  }
+
+ private:
+  std::vector<uint8_t> Spread(const FaceView& view, const std::vector<uint8_t>& from, int32_t reach,
+                              bool along_rows) const {
     const int32_t count = along_rows ? view.columns : view.rows;
     const int32_t step = along_rows ? 1 : view.columns;
     std::vector<uint8_t> to(from.size(), 0);
@@ -70,10 +87,26 @@ inline std::vector<uint8_t> NearLabels(const FaceView& view, const std::vector<i
           to[size_t(cell) * num_labels + k] |= from[(cell + i * step) * size_t(num_labels) + k];
     }
     return to;
-  };
-  std::vector<uint8_t> near(labels.size() * num_labels, 0);
-  for (size_t cell = 0; cell < labels.size(); ++cell) near[cell * num_labels + labels[cell]] = 1;
-  return spread(spread(near, true), false);
+  }
+};
+
+// Labels of cells near borders, each one of those near it, while all others keep theirs.
+inline void RelabelNearBorders(const LabelProblem& problem, const NearLabels& near, int max_sweeps,
+                               std::vector<int32_t>* labels) {
+  const std::vector<int32_t>& cells = near.border_cells;
+  const int32_t num_labels = problem.num_labels;
+  LabelProblem restricted = Restricted(problem, cells, *labels);
+  std::vector<int32_t> first;
+  for (size_t i = 0; i < cells.size(); ++i) {
+    first.push_back((*labels)[cells[i]]);
+    for (int32_t k = 0; k < num_labels; ++k)
+      if (!near.is_near[size_t(cells[i]) * num_labels + k])
+        restricted.costs[i * num_labels + k] = std::numeric_limits<float>::infinity();
+  }
+  Expansion expansion(restricted);
+  expansion.Start(first);
+  const std::vector<int32_t>& found = expansion.Run(max_sweeps);
+  for (size_t i = 0; i < cells.size(); ++i) (*labels)[cells[i]] = found[i];
 }
 
 // Labels of a view's cells from what they cost: of blocks of cells at first, then of cells near
@@ -99,26 +132,9 @@ inline std::vector<int32_t> LabelView(const FaceView& view, const ViewCosts& mad
   const std::vector<int32_t>& of_blocks = expansion.Run(max_sweeps);
   std::vector<int32_t> labels;
   for (const int32_t block : blocks.of_cells) labels.push_back(of_blocks[block]);
-  const int32_t num_labels = problem.num_labels;
-  const std::vector<uint8_t> near = NearLabels(view, labels, num_labels, kBorderReach);
-  std::vector<int32_t> cells;
-  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
-    const auto begin = near.begin() + ptrdiff_t(cell) * num_labels;
-    if (std::count(begin, begin + num_labels, 1) > 1) cells.push_back(cell);
-  }
-  LabelProblem restricted = Restricted(problem, cells, labels);
-  for (size_t i = 0; i < cells.size(); ++i)
-    for (int32_t k = 0; k < num_labels; ++k)
-      if (!near[size_t(cells[i]) * num_labels + k])
-        restricted.costs[i * num_labels + k] = std::numeric_limits<float>::infinity();
-  Expansion near_borders(restricted);
-  std::vector<int32_t> first;
-  for (const int32_t cell : cells) first.push_back(labels[cell]);
-  near_borders.Start(first);
-  const std::vector<int32_t>& found = near_borders.Run(max_sweeps);
-  for (size_t i = 0; i < cells.size(); ++i) labels[cells[i]] = found[i];
-  for (int32_t& label : labels) label = label == none ? -1 : made.planes[label];
-  return labels;
+  const NearLabels near(view, labels, problem.num_labels, kBorderReach);
+  RelabelNearBorders(problem, near, max_sweeps, &labels);
+  return made.PlanesOf(labels);
 }
 
 // Labels of all views: at first each by itself, then `num_rounds` - 1 times in agreement with what
@@ -154,6 +170,33 @@ inline ViewLabels LabelViews(const FaceScene& scene, const BorderCosts& borders,
     labels.swap(next);
   }
   return labels;
+}
+
+// Labels of all views from those of larger cells, `start`: near their borders, each cell gets one
+// of the labels within `reach`.
+inline ViewLabels RefineLabels(const FaceScene& scene, const BorderCosts& borders,
+                               const ViewLabels& start, int32_t reach, int max_sweeps,
+                               int num_threads) {
+  ViewLabels refined(start.size());
+  ParallelFor(int64_t(start.size()), num_threads, [&](int64_t v, int) {
+    const FaceView& view = scene.views[v];
+    std::vector<int32_t> planes = start[v];
+    std::sort(planes.begin(), planes.end());
+    planes.erase(std::unique(planes.begin(), planes.end()), planes.end());
+    if (!planes.empty() && planes.front() < 0) planes.erase(planes.begin());
+    ViewCosts costs(planes, scene.planes.size());
+    std::vector<int32_t> labels = costs.LabelsOf(start[v]);
+    const NearLabels near(view, labels, int32_t(planes.size()) + 1, reach);
+    std::vector<uint8_t> asked(near.is_near.size(), 0);
+    for (const int32_t cell : near.border_cells)
+      std::copy_n(near.is_near.begin() + ptrdiff_t(cell) * near.num_labels, near.num_labels,
+                  asked.begin() + ptrdiff_t(cell) * near.num_labels);
+    scene.AddCosts(int32_t(v), asked, &costs);
+    scene.AddLabels(int32_t(v), start, &costs);
+    RelabelNearBorders(ProblemOf(view, borders, costs), near, max_sweeps, &labels);
+    refined[v] = costs.PlanesOf(labels);
+  });
+  return refined;
 }
 
 // What other views say of the point that a labelled cell sees.

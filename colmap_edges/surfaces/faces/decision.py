@@ -39,6 +39,7 @@ PLAIN_CELLS = 2.0
 MAX_CLIPPED = 1 / 2  # maximum share of overexposed accepted cells
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
 SPACING_CELLS = 1.2  # distance between points of a face
+BORDER_SPACING_CELLS = 0.85  # next to small cells with another label, where surfaces may end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,12 +146,14 @@ def are_overexposed(
     return bool(np.mean(clipped) > MAX_CLIPPED)
 
 
-def thinned(samples: Samples, accepted: IntArray) -> IntArray:
+def thinned(samples: Samples, accepted: IntArray, near_border: BoolArray, side: int) -> IntArray:
     """One sample of each plane in every cube of about a cell: the one that most views agree on.
 
     Args:
-        samples: all samples.
+        samples: S samples.
         accepted: indices of those to choose from.
+        near_border: (S,) where surfaces may end, and cubes are smaller.
+        side: small cells along a side of a cell.
 
     Returns:
         (P,) chosen samples.
@@ -158,9 +161,10 @@ def thinned(samples: Samples, accepted: IntArray) -> IntArray:
     if not len(accepted):
         return accepted
     order = accepted[np.argsort(-samples.agreeing[accepted], kind="stable")]
-    side = SPACING_CELLS * np.median(samples.sizes[order])
-    cubes = np.floor(samples.points[order] / side).astype(np.int64)
-    cubes = np.column_stack([cubes, samples.planes[order]])
+    spacings = np.where(near_border[order], BORDER_SPACING_CELLS, SPACING_CELLS)
+    sides = spacings * side * np.median(samples.sizes[order])
+    cubes = np.floor(samples.points[order] / sides[:, None]).astype(np.int64)
+    cubes = np.column_stack([cubes, samples.planes[order], near_border[order]])
     _, first = np.unique(row_numbers(cubes), return_index=True)
     chosen: IntArray = order[np.sort(first)]
     return chosen

@@ -39,6 +39,7 @@ def are_enclosed(
     labels: Int32Array,
     grids: Sequence[Grid],
     num_threads: int = 1,
+    side: int = 1,
 ) -> BoolArray:
     """(S,) whether most of the agreeing views show a place on a piece between what is observed.
 
@@ -48,6 +49,8 @@ def are_enclosed(
         labels: of the cells of all views.
         grids: (V,) the views' small pictures.
         num_threads: threads; the result does not depend on them.
+        side: cells along a side of those that an observed point stands for, since the next point of
+            an edge may be as far.
     """
     plain = np.concatenate([of.ravel() for of in backdrops(grids)])
     counts = scene.count_enclosing(
@@ -60,6 +63,7 @@ def are_enclosed(
         np.array(DIRECTIONS, np.int32),
         MAX_OPEN_BEFORE_BACKDROP if plain.any() else MAX_OPEN,
         ENCLOSED_SHARE,
+        side,
         num_threads,
     )
     most: BoolArray = counts >= ENCLOSED_SHARE * np.diff(samples.offsets)

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
+import cv2
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import Int32Array, IntArray
+from colmap_edges.core.arrays import BoolArray, Int32Array, IntArray
 from colmap_edges.core.checks import check_arrays, check_values
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
@@ -27,12 +28,20 @@ from colmap_edges.surfaces.faces.decision import (
 from colmap_edges.surfaces.faces.enclosure import are_enclosed, backdrops
 from colmap_edges.surfaces.faces.evidence import Evidence, gather_evidence, joined
 from colmap_edges.surfaces.faces.faint_lines import find_faint_lines
-from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid, cell_offsets
+from colmap_edges.surfaces.faces.grids import (
+    CELL_PX,
+    Grid,
+    blank_grid,
+    cell_offsets,
+    doubled,
+    halved,
+)
 from colmap_edges.surfaces.faces.hypotheses import Planes, find_planes
 from colmap_edges.surfaces.faces.labelling import (
     EvidenceWeights,
     label_cells,
     make_scene,
+    refine_labels,
     split_by_view,
 )
 from colmap_edges.surfaces.faces.outlines import Face, outline_faces
@@ -123,7 +132,8 @@ def find_faces(
         num_threads: threads; the result does not depend on them.
         bodies: what views see that is not background; there are no faces before it.
     """
-    pictures = [grids.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
+    finer = [grids.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
+    pictures = [halved(picture) for picture in finer]
     evidence = gather_evidence(model, edges)
     planes = find_planes(evidence, model.camera_centers, np.random.default_rng(random_seed))
     if not len(planes.offsets):
@@ -136,14 +146,17 @@ def find_faces(
     seen = (first.samples, first.accepted, model.views, pictures)
     if not len(plain) or plain.mean() < MIN_PLAIN or are_overexposed(*seen):
         return first.faces(NO_FACES.points, NO_FACES.face_ids)
-    if not any(shown.any() for shown in backdrops(pictures)):
+    before_backdrop = any(shown.any() for shown in backdrops(pictures))
+    if not before_backdrop:
         # On objects before a backdrop, faint lines are shades of round bodies.
-        labels = first.accepted_labels(pictures)
+        labels = first.accepted_labels()
         evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
         planes = find_planes(evidence, model.camera_centers, np.random.default_rng(random_seed))
-    last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights())
-    chosen = thinned(last.samples, last.accepted)
-    points = points_of_samples(last.samples, chosen, model.views, pictures)
+    # Small cells of round bodies are too like the ground.
+    small = None if before_backdrop else finer
+    last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights(), small)
+    chosen = last.chosen()
+    points = points_of_samples(last.samples, chosen, model.views, last.pictures)
     return last.faces(points, last.face_ids[chosen])
 
 
@@ -152,6 +165,8 @@ class LabelledScene:
     """Planes, labels of all views' cells with them, and what was accepted of these.
 
     Attributes:
+        pictures: the views as small pictures.
+        side: cells along a side of those that were labelled first.
         planes: the plane hypotheses.
         labels: of the cells of all views, -1 where there is no plane.
         samples: S places that labelled cells see.
@@ -159,6 +174,8 @@ class LabelledScene:
         face_ids: (S,) the face of each sample, -1 for those that are not accepted.
     """
 
+    pictures: Sequence[Grid]
+    side: int
     planes: Planes
     labels: Int32Array
     samples: Samples
@@ -170,13 +187,27 @@ class LabelledScene:
         """Indices of the accepted samples."""
         return np.flatnonzero(self.face_ids >= 0)
 
-    def accepted_labels(self, pictures: Sequence[Grid]) -> list[Int32Array]:
+    def chosen(self) -> IntArray:
+        """Indices of accepted samples for the mesh, denser where small cells end at others."""
+        near = np.zeros(len(self.samples.points), bool)
+        if self.side > 1:
+            borders = map(at_borders, split_by_view(self.labels, self.pictures))
+            near = np.concatenate([of.ravel() for of in borders])[self.cells]
+        return thinned(self.samples, self.accepted, near, self.side)
+
+    @property
+    def cells(self) -> IntArray:
+        """(S,) cells of the samples, among those of all views."""
+        own = self.samples.views[self.samples.offsets[:-1]]
+        cells: IntArray = cell_offsets(self.pictures)[own] + self.samples.cells
+        return cells
+
+    def accepted_labels(self) -> list[Int32Array]:
         """(rows, columns) labels of each view, -1 also where they are not accepted."""
-        views = self.samples.views[self.samples.offsets[self.accepted]]
-        cells = cell_offsets(pictures)[views] + self.samples.cells[self.accepted]
+        cells = self.cells[self.accepted]
         labels = np.full_like(self.labels, -1)
         labels[cells] = self.labels[cells]
-        return split_by_view(labels, pictures)
+        return split_by_view(labels, self.pictures)
 
     def faces(self, points: SeenPoints, face_ids: IntArray) -> Faces:
         """The accepted faces, and points on them."""
@@ -200,16 +231,35 @@ def label_scene(
     planes: Planes,
     num_rounds: int,
     weights: EvidenceWeights,
+    finer: Sequence[Grid] | None = None,
 ) -> LabelledScene:
     """Label the cells of all views with planes, and accept what views agree on."""
     scene = make_scene(model, pictures, evidence, planes, num_threads)
-    labels = label_cells(scene, num_rounds, num_threads, weights)
+    labels, side = label_cells(scene, num_rounds, num_threads, weights), 1
+    if finer is not None:
+        side = 2
+        labels, pictures = doubled(labels, pictures, finer), finer
+        scene = make_scene(model, pictures, evidence, planes, num_threads)
+        labels = refine_labels(scene, labels, num_threads, weights)
     angles = np.array([CELL_PX / picture.focal_px for picture in pictures])
     samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)
-    believed = are_believed(samples) & are_enclosed(scene, samples, labels, pictures, num_threads)
+    believed = are_believed(samples)
+    believed &= are_enclosed(scene, samples, labels, pictures, num_threads, side)
     rows = np.flatnonzero(believed)
     rows = rows[within(bodies, samples.points[rows])]
     faces, face_ids = outline_faces(samples, rows, planes, model.camera_centers)
     return LabelledScene(
-        planes=planes, labels=labels, samples=samples, outlined=faces, face_ids=face_ids
+        pictures=pictures,
+        side=side,
+        planes=planes,
+        labels=labels,
+        samples=samples,
+        outlined=faces,
+        face_ids=face_ids,
     )
+
+
+def at_borders(labels: Int32Array) -> BoolArray:
+    """(rows, columns) whether one of the eight cells around a cell has another label, or none."""
+    of, around = labels.astype(np.float32), np.ones((3, 3), np.uint8)
+    return np.asarray((cv2.dilate(of, around) > of) | (cv2.erode(of, around) < of))

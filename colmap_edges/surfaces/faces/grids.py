@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,16 +14,18 @@ from colmap_edges.core.arrays import (
     ByteArray,
     Float32Array,
     FloatArray,
+    Int32Array,
     IntArray,
     Picture,
     offsets_of,
+    parts_of,
 )
 from colmap_edges.core.view import View
 from colmap_edges.images.files import gray_of
 
 CELL_PX = 4  # side of a cell in pixels of the reduced image
 NODE_PX = 8  # pixels of the picture
-NUM_COLUMNS = 80  # cells along the longer side of an image
+NUM_COLUMNS = 160  # cells along the longer side of an image
 CLIPPED = 250  # minimum level of what is overexposed
 
 
@@ -75,6 +78,48 @@ class Grid:
         return pixels
 
 
+def halved(grid: Grid) -> Grid:
+    """The picture with cells twice as wide and high; what is left of the last ones repeats."""
+    rows, columns = ((count + 1) // 2 for count in grid.shape)
+    height, width = CELL_PX * rows, CELL_PX * columns
+
+    def padded(pixels: ByteArray | BoolArray) -> Any:
+        down, right = 2 * height - pixels.shape[0], 2 * width - pixels.shape[1]
+        return np.pad(pixels, ((0, down), (0, right)), mode="edge")
+
+    def whole(pixels: BoolArray | None) -> BoolArray | None:
+        if pixels is None:
+            return None
+        return np.asarray(padded(pixels).reshape(height, 2, width, 2).all(axis=(1, 3)))
+
+    bodies = grid.bodies
+    if bodies is not None:
+        fine_rows, fine_columns = grid.shape
+        ends = ((0, 2 * rows - fine_rows), (0, 2 * columns - fine_columns))
+        far = np.pad(np.nan_to_num(bodies, nan=np.inf), ends, constant_values=np.inf)
+        nearest = far.reshape(rows, 2, columns, 2).min(axis=(1, 3))
+        bodies = np.where(np.isfinite(nearest), nearest, np.float32(np.nan))
+    gray = cv2.resize(padded(grid.gray), (width, height), interpolation=cv2.INTER_AREA)
+    return Grid(
+        gray=np.asarray(gray, np.uint8),
+        focal_px=grid.focal_px / 2,
+        principal=grid.principal / 2,
+        usable=whole(grid.usable),
+        background=whole(grid.background),
+        bodies=bodies,
+    )
+
+
+def doubled(labels: Int32Array, grids: Sequence[Grid], finer: Sequence[Grid]) -> Int32Array:
+    """Labels of the cells of finer pictures from those of their halves."""
+    parts = []
+    for part, grid, fine in zip(parts_of(labels, cell_offsets(grids)), grids, finer, strict=True):
+        rows, columns = fine.shape
+        both = part.reshape(grid.shape).repeat(2, axis=0).repeat(2, axis=1)
+        parts.append(both[:rows, :columns].ravel())
+    return np.concatenate(parts)
+
+
 def cell_offsets(grids: Sequence[Grid]) -> IntArray:
     """(V + 1,) where the cells of each of V views begin among those of all."""
     return offsets_of(np.array([grid.shape[0] * grid.shape[1] for grid in grids], np.int64))
@@ -119,21 +164,24 @@ def with_background(view: View, grid: Grid, body: BoolArray) -> Grid:
 
 
 def with_bodies(view: View, grid: Grid, points: FloatArray) -> Grid:
-    """The picture with the depths of round bodies.
+    """The picture with the depths of round bodies, the same in each two by two cells.
 
     Args:
         view: the view.
         grid: its picture.
-        points: (N, 3) points all over the bodies, about a cell from each other.
+        points: (N, 3) points all over the bodies, about two cells from each other.
     """
-    depths = np.full(grid.shape, np.inf, np.float32)
+    rows, columns = grid.shape
+    depths = np.full(((rows + 1) // 2, (columns + 1) // 2), np.inf, np.float32)
     pixels, depths_of_points = view.project(points)
     inside = view.holds(pixels, depths_of_points)
-    np.minimum.at(depths, cells_in(view, grid, points[inside]), depths_of_points[inside])
+    at = tuple(of // 2 for of in cells_in(view, grid, points[inside]))
+    np.minimum.at(depths, at, depths_of_points[inside])
     around = np.ones((3, 3), np.uint8)
     held = cv2.morphologyEx(np.isfinite(depths).astype(np.uint8), cv2.MORPH_CLOSE, around) > 0
     nearest = cv2.erode(depths, around)  # some cells show points of the far side alone
-    return replace(grid, bodies=np.where(held, nearest, np.float32(np.nan)))
+    known = np.where(held, nearest, np.float32(np.nan))
+    return replace(grid, bodies=known.repeat(2, axis=0).repeat(2, axis=1)[:rows, :columns])
 
 
 def usable_at(at: Float32Array, usable: BoolArray | None) -> BoolArray | None:

@@ -33,6 +33,7 @@ MAX_DRIFT = 0.6
 REACH = 2.0  # radius of the scene, relative to the distance of the farthest points from the centre
 NUM_SIDES = 16  # number of sides of the polygon around a plane's points
 INNER = 0.995  # share of the points inside each side
+REFINED_CELLS = 4  # from a border between larger cells, within which smaller ones get new labels
 MAX_SWEEPS = 1  # sweeps of alpha expansion over all planes; a second one makes faces worse
 
 
@@ -117,6 +118,29 @@ def label_cells(
         num_threads,
     )
     return labels
+
+
+def refine_labels(
+    scene: Any, labels: Int32Array, num_threads: int, weights: EvidenceWeights
+) -> Int32Array:
+    """Labels of cells half as large, near the borders of those that they were given.
+
+    Args:
+        scene: of `make_scene`, with the finer pictures.
+        labels: of their cells, from the larger ones.
+        num_threads: threads; the result does not depend on them.
+        weights: of what speaks for planes.
+    """
+    borders = BorderCosts()
+    refined: Int32Array = scene.refine(
+        np.array(weights),
+        np.array(borders._replace(weight=2 * borders.weight)),  # evidence of four, borders of two
+        labels,
+        REFINED_CELLS,
+        MAX_SWEEPS,
+        num_threads,
+    )
+    return refined
 
 
 def split_by_view(labels: Int32Array, grids: Sequence[Grid]) -> list[Int32Array]:

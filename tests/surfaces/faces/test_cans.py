@@ -9,10 +9,10 @@ from plain_rooms import model_of, render, upright_view
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
-from colmap_edges.surfaces.faces.decision import points_of_samples, thinned
+from colmap_edges.surfaces.faces.decision import points_of_samples
 from colmap_edges.surfaces.faces.evidence import gather_evidence
 from colmap_edges.surfaces.faces.finding import label_scene
-from colmap_edges.surfaces.faces.grids import make_grid
+from colmap_edges.surfaces.faces.grids import halved, make_grid
 from colmap_edges.surfaces.faces.hypotheses import find_planes
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights
 
@@ -83,7 +83,7 @@ def edges_seen_by(views):
 @pytest.fixture(scope="module")
 def can():
     views = views_around()
-    pictures = [make_grid(view, render(view, cast)) for view in views]
+    pictures = [halved(make_grid(view, render(view, cast))) for view in views]
     return SimpleNamespace(
         views=views, model=model_of(views), edges=edges_seen_by(views), pictures=pictures
     )
@@ -121,7 +121,7 @@ def test_points_that_a_view_misses_end_the_ground_at_the_can(can):
 def test_few_rays_to_faces_pass_through_the_can(can):
     found = labelled(can, 2, EvidenceWeights())
     assert len(found.accepted) > 10_000
-    chosen = thinned(found.samples, found.accepted)
+    chosen = found.chosen()
     seen = points_of_samples(found.samples, chosen, can.views, can.pictures)
     points = np.repeat(seen.points, np.diff(seen.track_offsets), axis=0)
     assert share_behind(can, points, seen.track_views) < 0.005

@@ -9,9 +9,22 @@ import pytest
 from evidence import evidence_of
 
 from colmap_edges.core.view import View
-from colmap_edges.surfaces.faces.grids import blank_grid, with_background, with_bodies
+from colmap_edges.surfaces.faces.grids import (
+    blank_grid,
+    doubled,
+    halved,
+    with_background,
+    with_bodies,
+)
 from colmap_edges.surfaces.faces.hypotheses import Planes
-from colmap_edges.surfaces.faces.labelling import label_cells, make_scene, split_by_view
+from colmap_edges.surfaces.faces.labelling import (
+    REFINED_CELLS,
+    EvidenceWeights,
+    label_cells,
+    make_scene,
+    refine_labels,
+    split_by_view,
+)
 
 GROUND = Planes(normals=np.array([[0.0, 0, 1]]), offsets=np.zeros(1))
 HEIGHT = 3.0
@@ -36,11 +49,11 @@ def views_from_above():
     )
 
 
-def pictures_of(views):
+def pictures_of(views, change=halved):
     """Small pictures of the ground's blotches."""
     blotches = np.random.default_rng(0).integers(60, 200, (64, 64))
     for view in views:
-        grid = blank_grid(view)
+        grid = change(blank_grid(view))
         rows, columns = np.indices(grid.gray.shape) + 0.5
         x, y = view.center[:2, None, None] + HEIGHT / grid.focal_px * np.array(
             [columns - grid.principal[0], grid.principal[1] - rows]
@@ -63,11 +76,15 @@ def around_the_ground(missing=0):
     return evidence_of(points, np.append(0, np.cumsum(sees.sum(axis=1))), seen_by, 0.01)
 
 
+def scene_of(views, pictures, missing=0):
+    """What labels cost, of the ground alone."""
+    evidence = around_the_ground(missing)
+    return make_scene(SimpleNamespace(views=views), pictures, evidence, GROUND, 1)
+
+
 def labels_of(views, pictures, missing=0, num_rounds=1):
     """(rows, columns) of each view whether cells are labelled with the ground."""
-    evidence = around_the_ground(missing)
-    scene = make_scene(SimpleNamespace(views=views), pictures, evidence, GROUND, 1)
-    labels = label_cells(scene, num_rounds, 1)
+    labels = label_cells(scene_of(views, pictures, missing), num_rounds, 1)
     return [each == 0 for each in split_by_view(labels, pictures)]
 
 
@@ -94,6 +111,46 @@ def test_views_that_observe_few_points_take_the_planes_of_their_neighbours(groun
     agreed = labels_of(ground.views, ground.pictures, missing=75, num_rounds=2)
     assert all(labels.mean() > 0.9 for labels in agreed[:3])
     assert agreed[3].mean() > 0.7
+
+
+def test_labels_of_smaller_cells_differ_only_near_borders_of_the_larger_ones(ground):
+    """The larger cells of the right half of one view have no label, though all show the ground."""
+    finer = list(pictures_of(ground.views, change=lambda grid: grid))
+    given = [np.zeros(picture.shape, np.int32) for picture in ground.pictures]
+    given[0][:, 40:] = -1
+    start = doubled(np.concatenate([of.ravel() for of in given]), ground.pictures, finer)
+    scene = scene_of(ground.views, finer)
+    weights = EvidenceWeights(no_plane=3.0)
+    refined = split_by_view(refine_labels(scene, start, 1, weights), finer)
+    assert [labels.shape for labels in refined] == 4 * [(160, 160)]
+    assert all((labels == 0).all() for labels in refined[1:])
+    assert (refined[0][:, : 80 + REFINED_CELLS] == 0).all()
+    assert (refined[0][:, 80 + REFINED_CELLS :] == -1).all()
+    again = refine_labels(scene, start, 2, weights)
+    assert np.array_equal(again, np.concatenate([of.ravel() for of in refined]))
+
+
+def test_halves_of_pictures_hold_what_is_in_all_of_their_cells(ground):
+    """An odd number of cells, a strip of background, and a body in one corner."""
+    view = replace(ground.views[0], width=78, height=78)
+    fine = blank_grid(view, num_columns=7)
+    shown = np.zeros(fine.gray.shape, bool)
+    shown[:, :20] = True
+    bodies = np.full(fine.shape, np.nan, np.float32)
+    bodies[0, 0], bodies[1, 1], bodies[6, 6] = 3, 2, 5
+    gray = np.arange(28, dtype=np.uint8) * np.ones((28, 1), np.uint8)
+    half = halved(replace(fine, gray=gray, background=shown, bodies=bodies, usable=shown))
+    assert half.shape == (4, 4)
+    assert half.focal_px == fine.focal_px / 2
+    assert half.gray[3, :14].tolist() == [2 * i + 1 for i in range(14)]
+    assert half.background[0].tolist() == half.usable[0].tolist() == [True] * 10 + [False] * 6
+    assert half.bodies[0, 0] == 2
+    assert half.bodies[3, 3] == 5
+    assert np.isnan(half.bodies).sum() == 14
+    labels = np.arange(16, dtype=np.int32)
+    both = doubled(labels, [half], [fine]).reshape(7, 7)
+    assert both[0].tolist() == [0, 0, 1, 1, 2, 2, 3]
+    assert both[:, 0].tolist() == [0, 0, 4, 4, 8, 8, 12]
 
 
 def test_cells_that_show_background_are_on_no_plane(ground):
@@ -147,7 +204,8 @@ def test_no_plane_lies_behind_a_round_body(ground, height, is_hidden):
 
 def test_a_body_is_as_deep_as_its_front(ground):
     """Gaps of a cell between its points are filled."""
-    first = with_bodies(ground.views[0], ground.pictures[0], ball(1.0))
+    view = ground.views[0]
+    first = halved(with_bodies(view, blank_grid(view), ball(1.0)))
     rows, columns = np.indices((80, 80)) + 0.5 - 40
     off = np.hypot(rows, columns) / 80  # of rays, at depth 1; the ball's centre is 2 deep
     on = off < np.tan(np.arcsin(0.5 / 2)) - 0.03

@@ -19,7 +19,7 @@ from colmap_edges.surfaces.faces.decision import (
     sample_cells,
     thinned,
 )
-from colmap_edges.surfaces.faces.grids import blank_grid
+from colmap_edges.surfaces.faces.grids import blank_grid, halved
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import make_scene
 
@@ -60,7 +60,7 @@ def corners_of_plate():
 def support(labels_below):
     """What views say of a plate from z = -0.3 to 0, whose upper side the views above show."""
     views = four_views()
-    grids = [blank_grid(view) for view in views]
+    grids = [halved(blank_grid(view)) for view in views]
     evidence = corners_of_plate()
     scene = make_scene(SimpleNamespace(views=views), grids, evidence, PLANES, 1)
     cells = grids[0].gray.size // 16
@@ -96,7 +96,7 @@ def test_views_below_that_see_through_a_plate_contradict_it():
 def test_places_far_from_all_points_of_their_view_are_plain():
     samples, upper = support([1, 1])
     views = four_views()
-    grids = [blank_grid(view) for view in views]
+    grids = [halved(blank_grid(view)) for view in views]
     plain = are_plain(samples, views, grids, corners_of_plate())
     cell = 3 * ANGLES[0]  # side of a cell of the views above, on the plate
     corners = np.abs(samples.points[:, :2]) - 0.5
@@ -110,7 +110,7 @@ def test_places_far_from_all_points_of_their_view_are_plain():
 def test_images_are_overexposed_where_most_accepted_cells_are_white(white, expected):
     samples, _ = support([1, 1])
     views = four_views()
-    grids = [blank_grid(view) for view in views]
+    grids = [halved(blank_grid(view)) for view in views]
     for view, grid in enumerate(grids):
         grid.gray[:] = 255 if view < white else 200
     accepted = np.flatnonzero(samples.agreeing > 0)
@@ -122,10 +122,12 @@ def test_images_are_overexposed_where_most_accepted_cells_are_white(white, expec
 def test_samples_are_thinned_to_points_of_a_third_of_their_views():
     samples, _ = support([1, 1])
     accepted = np.arange(len(samples.points))
-    chosen = thinned(samples, accepted)
+    inside = np.zeros(len(accepted), bool)
+    chosen = thinned(samples, accepted, inside, 1)
     assert 0 < len(chosen) < len(accepted)
+    assert len(chosen) < len(thinned(samples, accepted, ~inside, 1)) < len(accepted)
     views = four_views()
-    made = points_of_samples(samples, chosen, views, [blank_grid(view) for view in views])
+    made = points_of_samples(samples, chosen, views, [halved(blank_grid(view)) for view in views])
     assert np.array_equal(made.points, samples.points[chosen])
     for row, sample in enumerate(chosen):
         seeing = samples.views[samples.offsets[sample] : samples.offsets[sample + 1]]
@@ -136,7 +138,7 @@ def test_samples_are_thinned_to_points_of_a_third_of_their_views():
 
 def test_rays_come_from_views_that_show_the_middle_gray():
     views = [*four_views()[:1] * 6]
-    grids = [blank_grid(view) for view in views]
+    grids = [halved(blank_grid(view)) for view in views]
     for i, grid in enumerate(grids):
         grid.gray[:] = 100 + 7 * i  # exposures differ
         grid.gray[:, grid.gray.shape[1] // 2 :] += 40 * (i % 3 == 0)  # something stands before it
@@ -164,7 +166,7 @@ def test_rays_come_from_views_that_show_the_middle_gray():
 def test_without_accepted_samples_there_are_no_points():
     samples, _ = support([1, 1])
     views = four_views()
-    grids = [blank_grid(view) for view in views]
+    grids = [halved(blank_grid(view)) for view in views]
     made = points_of_samples(samples, np.zeros(0, np.int64), views, grids)
     assert len(made.points) == len(made.track_views) == 0
     assert made.track_offsets.tolist() == [0]

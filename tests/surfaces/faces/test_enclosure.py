@@ -19,7 +19,13 @@ from colmap_edges.surfaces.faces.enclosure import (
     are_enclosed,
     backdrops,
 )
-from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid, with_background
+from colmap_edges.surfaces.faces.grids import (
+    CELL_PX,
+    Grid,
+    blank_grid,
+    cells_in,
+    with_background,
+)
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import make_scene
 
@@ -270,3 +276,24 @@ def floor_is_enclosed(
     samples = sample_at(np.array([[0.1, 1, 2.7]]), np.zeros(1, np.int32))
     scene = make_scene(SimpleNamespace(views=(view,)), [grid], evidence, planes, 1)
     return bool(are_enclosed(scene, samples, labels.ravel(), [grid])[0])
+
+
+def test_labels_may_end_a_small_cell_before_the_points_that_enclose_them():
+    """A square on the floor, of which all cells but those next to its sides are labelled."""
+    view = view_above_floor(0, np.zeros(3))
+    rows, columns = np.mgrid[:240, :320]
+    grid = picture_of(columns / 2 + rows / 3)
+    along, ends = np.linspace(-1, 1, 400), np.ones(400)
+    sides = [(along, ends), (along, -ends), (ends, along), (-ends, along)]
+    square = np.concatenate([np.column_stack([x, ends, 3 + z]) for x, z in sides])
+    touched = np.zeros(grid.shape, np.uint8)
+    touched[cells_in(view, grid, square)] = 1
+    inside = ndimage.binary_fill_holes(touched) & ~ndimage.binary_dilation(touched, np.ones((3, 3)))
+    seen_by = np.zeros(len(square), np.int32)
+    evidence = evidence_of(square, np.arange(len(square) + 1), seen_by, 0.01)
+    floor = Planes(normals=np.eye(3)[1:2], offsets=np.ones(1))
+    scene = make_scene(SimpleNamespace(views=(view,)), [grid], evidence, floor, 1)
+    samples = sample_at(np.array([[0.0, 1, 3]]), np.zeros(1, np.int32))
+    labels = np.where(inside, 0, -1).astype(np.int32).ravel()
+    given = (scene, samples, labels, [grid], 1)
+    assert [are_enclosed(*given, side).tolist() for side in (1, 2)] == [[False], [True]]

@@ -82,7 +82,7 @@ def test_faint_lines_are_sought_on_accepted_labels(room):
     evidence = gather_evidence(model, room.edges)
     planes = find_planes(evidence, model.camera_centers, np.random.default_rng(0))
     found = label_scene(model, pictures, (), 1, evidence, planes, 1, EvidenceWeights())
-    accepted = found.accepted_labels(pictures)
+    accepted = found.accepted_labels()
     assert sum(np.sum(labels >= 0) for labels in accepted) == len(found.accepted)
     own = found.samples.views[found.samples.offsets[:-1]]
     for v, labels in enumerate(split_by_view(found.labels, pictures)):
