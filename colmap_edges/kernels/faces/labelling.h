@@ -180,12 +180,16 @@ inline ViewLabels RefineLabels(const FaceScene& scene, const BorderCosts& border
   ViewLabels refined(start.size());
   ParallelFor(int64_t(start.size()), num_threads, [&](int64_t v, int) {
     const FaceView& view = scene.views[v];
-    std::vector<int32_t> planes = start[v];
+    std::vector<int32_t> shown = start[v];  // without planes that a smaller cell cannot show
+    for (int32_t cell = 0; cell < view.num_cells(); ++cell)
+      if (shown[cell] >= 0 && std::isnan(scene.DepthAt(int32_t(v), cell, shown[cell])))
+        shown[cell] = -1;
+    std::vector<int32_t> planes = shown;
     std::sort(planes.begin(), planes.end());
     planes.erase(std::unique(planes.begin(), planes.end()), planes.end());
     if (!planes.empty() && planes.front() < 0) planes.erase(planes.begin());
     ViewCosts costs(planes, scene.planes.size());
-    std::vector<int32_t> labels = costs.LabelsOf(start[v]);
+    std::vector<int32_t> labels = costs.LabelsOf(shown);
     const NearLabels near(view, labels, int32_t(planes.size()) + 1, reach);
     std::vector<uint8_t> asked(near.is_near.size(), 0);
     for (const int32_t cell : near.border_cells)

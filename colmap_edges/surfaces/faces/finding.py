@@ -233,7 +233,10 @@ def label_scene(
     weights: EvidenceWeights,
     finer: Sequence[Grid] | None = None,
 ) -> LabelledScene:
-    """Label the cells of all views with planes, and accept what views agree on."""
+    """Label the cells of all views with planes, and accept what views agree on.
+
+    `finer` are the pictures with cells half as large, in which borders of labels are refined.
+    """
     scene = make_scene(model, pictures, evidence, planes, num_threads)
     labels, side = label_cells(scene, num_rounds, num_threads, weights), 1
     if finer is not None:

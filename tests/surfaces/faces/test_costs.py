@@ -130,6 +130,19 @@ def test_labels_of_smaller_cells_differ_only_near_borders_of_the_larger_ones(gro
     assert np.array_equal(again, np.concatenate([of.ravel() for of in refined]))
 
 
+def test_smaller_cells_that_show_background_lose_the_label_of_the_larger_one(ground):
+    """The last three small cells of the rows of one view."""
+    finer = list(pictures_of(ground.views, change=lambda grid: grid))
+    body = np.ones((160, 160), bool)
+    body[:, 157:] = False
+    finer[0] = with_background(ground.views[0], finer[0], body)
+    start = np.zeros(4 * 160 * 160, np.int32)
+    found = refine_labels(scene_of(ground.views, finer), start, 1, EvidenceWeights())
+    labels = split_by_view(found, finer)[0]
+    assert (labels[:, 157:] == -1).all()
+    assert (labels[:, : 157 - REFINED_CELLS] == 0).all()
+
+
 def test_halves_of_pictures_hold_what_is_in_all_of_their_cells(ground):
     """An odd number of cells, a strip of background, and a body in one corner."""
     view = replace(ground.views[0], width=78, height=78)
