@@ -339,7 +339,7 @@ def trace_timed(
 ) -> tuple[float, float, int]:
     """Wall and CPU seconds of this process, and edges."""
     wall, cpu = time.perf_counter(), time.process_time()
-    traced, _ = trace(model, graphs, options, lambda: None, workers)
+    traced, _ = trace(model, graphs, options, workers)
     return time.perf_counter() - wall, time.process_time() - cpu, traced.edges.num_edges
 
 
