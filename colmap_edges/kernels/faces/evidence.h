@@ -128,13 +128,13 @@ class FaceScene {
   std::vector<int32_t> PlanesAround(int32_t v, const std::vector<std::vector<int32_t>>& labels,
                                     int32_t min_cells) const;
 
-  // The depth at which a view's cell would show a plane; NaN where it cannot.
-  double DepthAt(int32_t v, int32_t cell, int32_t plane) const {
+  // The depth at which a view's cell, which shows no background, would show a plane along its ray;
+  // NaN where it cannot.
+  double DepthAt(int32_t v, int32_t cell, const Vec3& ray, int32_t plane) const {
     const FaceView& view = views[v];
-    const Vec3 ray = view.RayOfCell(cell);
     const double depth = planes[plane].DepthAlong(view.pose.center, ray);
     const bool is_near = Norm(view.pose.center + depth * ray - center) <= reach;
-    return is_near && !view.IsBackground(cell) && !view.Hides(cell, depth) ? depth : NAN;
+    return is_near && !view.Hides(cell, depth) ? depth : NAN;
   }
   // Of some planes by what is observed.
   ViewCosts Costs(int32_t v, std::vector<int32_t> planes_of_view) const {
@@ -539,7 +539,7 @@ inline void FaceScene::AddCosts(int32_t v, const std::vector<uint8_t>& asked,
     for (int32_t k = 0; k < num_planes; ++k) {
       const size_t at = size_t(cell) * num_labels + k;
       if (!asked[at]) continue;
-      const double depth = DepthAt(v, cell, made->planes[k]);
+      const double depth = DepthAt(v, cell, ray, made->planes[k]);
       if (std::isnan(depth)) continue;
       made->depths[at] = float(depth);
       if (extents[made->planes[k]].Holds(view.pose.center + depth * ray))

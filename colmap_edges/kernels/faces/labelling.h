@@ -182,7 +182,9 @@ inline ViewLabels RefineLabels(const FaceScene& scene, const BorderCosts& border
     const FaceView& view = scene.views[v];
     std::vector<int32_t> shown = start[v];  // without planes that a smaller cell cannot show
     for (int32_t cell = 0; cell < view.num_cells(); ++cell)
-      if (shown[cell] >= 0 && std::isnan(scene.DepthAt(int32_t(v), cell, shown[cell])))
+      if (shown[cell] >= 0 &&
+          (view.IsBackground(cell) ||
+           std::isnan(scene.DepthAt(int32_t(v), cell, view.RayOfCell(cell), shown[cell]))))
         shown[cell] = -1;
     std::vector<int32_t> planes = shown;
     std::sort(planes.begin(), planes.end());
