@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 from scipy.sparse import bsr_array, csr_array, eye_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import LinearOperator, cg
@@ -14,6 +14,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.poses.problem import Problem
 
+FEW_FRAMES = 10  # number of frames up to which the system is solved as a dense one
 NARROW_FRAMES = 100  # bandwidth, in frames, up to which the band solver is used
 
 
@@ -71,7 +72,7 @@ def solve_poses(
     prior: Prior,
     right: FloatArray,
 ) -> FloatArray:
-    """(F, 6) solution of the poses' system, by conjugate gradients.
+    """(F, 6) solution of the poses' system, by conjugate gradients unless frames are few.
 
     If frames share points only with few successive ones, as along a street, the preconditioner is
     the band Cholesky factor of the system without the common prior. Otherwise it is the block
@@ -90,6 +91,11 @@ def solve_poses(
     count, size = len(own), right.size
     rows = np.repeat(np.arange(count), np.diff(pattern.indptr))
     shared[pattern.indices == rows] += own
+    if count <= FEW_FRAMES:
+        whole = np.zeros((count, 6, count, 6))
+        whole[rows, :, pattern.indices] = shared
+        factor = cho_factor(whole.reshape(size, size) + prior.held @ prior.core @ prior.held.T)
+        return np.asarray(cho_solve(factor, right.ravel())).reshape(-1, 6)
     system = bsr_array((shared, pattern.indices, pattern.indptr), (size, size))
     order = reverse_cuthill_mckee(pattern, symmetric_mode=True)
     rank = np.empty(count, np.int64)

@@ -94,9 +94,10 @@ def dense_prior(prior):
     return dense
 
 
-@pytest.mark.parametrize("narrow", [100, 0])
+@pytest.mark.parametrize(("few", "narrow"), [(10, 0), (0, 100), (0, 0)])
 @pytest.mark.parametrize("views_a_frame", [1, 2])
-def test_step_is_that_of_the_dense_equations(views_a_frame, narrow, monkeypatch):
+def test_step_is_that_of_the_dense_equations(views_a_frame, few, narrow, monkeypatch):
+    monkeypatch.setattr(systems, "FEW_FRAMES", few)
     monkeypatch.setattr(systems, "NARROW_FRAMES", narrow)
     problem, state = street(8, 5, 2, views_a_frame)
     state.points[3] -= [0, 0, 20]  # behind the views
