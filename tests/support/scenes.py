@@ -192,9 +192,12 @@ def supersampled_rays(camera):
     return np.ascontiguousarray(x), np.ascontiguousarray(y)
 
 
-def dot(vectors, direction):
-    """Products of (..., 3) vectors with one direction; without BLAS, whose threads cost more."""
-    return np.einsum("...i,i", vectors, direction)
+def dot(x, y, direction):
+    """Products of vectors (x, y, 1) with one direction; without BLAS, whose threads cost more."""
+    products = x * direction[0]
+    products += y * direction[1]
+    products += direction[2]
+    return products
 
 
 def window_of(camera, pose, corners):
@@ -210,11 +213,7 @@ def render(camera, pose, bodies, rays):
 
     `rays` are `supersampled_rays` of the camera.
     """
-    x, y = rays
-    shape = x.shape
-    rays = np.empty((*shape, 3))
-    for axis, (right, down, forward) in enumerate(pose[0].T):
-        rays[..., axis] = x * right + y * down + forward
+    shape = rays[0].shape
     image = np.full(shape, BACKGROUND, np.uint8)
     ids = np.zeros(shape, np.uint8)
     depths = np.full(shape, np.inf)
@@ -224,17 +223,22 @@ def render(camera, pose, bodies, rays):
         if offset >= 0:
             continue  # seen from behind
         window = window_of(camera, pose, face.corners)
-        depth = offset / np.minimum(dot(rays[window], face.normal), -1e-12)
-        points = center + depth[..., None] * rays[window]
+        x, y = (along[window] for along in rays)
+        depth = offset / np.minimum(dot(x, y, pose[0] @ face.normal), -1e-12)
         hit = depth < depths[window]
         for a, b in zip(face.corners, np.roll(face.corners, -1, axis=0), strict=True):
             outward = np.cross(b - a, face.normal)
-            hit &= dot(points, outward) <= a @ outward
-        image[window][hit], ids[window][hit], depths[window][hit] = face.gray, number, depth[hit]
+            hit &= depth * dot(x, y, pose[0] @ outward) <= (a - center) @ outward
+        x, y, depth = x[hit], y[hit], depth[hit]
+        grays = np.full(len(depth), face.gray, np.uint8)
         for circle, gray in face.discs:
             middle = circle.mean(axis=0)
             radius = np.linalg.norm(circle[0] - middle)
-            image[window][hit & (np.linalg.norm(points - middle, axis=-1) <= radius)] = gray
+            points = (
+                depth * np.stack([x, y, np.ones(len(x))]) - (pose[0] @ (middle - center))[:, None]
+            )
+            grays[np.linalg.norm(points, axis=0) <= radius] = gray
+        image[window][hit], ids[window][hit], depths[window][hit] = grays, number, depth
     blocks = image.reshape(camera.height, SUPERSAMPLING, camera.width, SUPERSAMPLING)
     return np.rint(blocks.mean(axis=(1, 3))).astype(np.uint8), ids
 
