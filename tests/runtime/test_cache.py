@@ -30,14 +30,14 @@ ARRAYS = {"a": np.arange(6.0).reshape(2, 3), "b": np.zeros(0, bool), "c": np.arr
 @pytest.fixture(scope="module")
 def reference(small, tmp_path_factory):
     """An output made without a cache."""
-    return mesh(small, tmp_path_factory.mktemp("reference") / "out")[0]
+    return trace(small, tmp_path_factory.mktemp("reference") / "out")[0]
 
 
-# What is not in the cache, and takes half of the time.
-PLAIN = {"use_faces": False, "use_patches": False}
+# Without what is not in the cache, and what is in it with the edges; it takes most of the time.
+PLAIN = {"use_faces": False, "use_patches": False, "refine_poses": False}
 
 
-def mesh(scene, output, cache=None, command="mesh", **options):
+def trace(scene, output, cache=None, command="reconstruct", **options):
     """Output folder and, by stage, the counts of a run."""
     paths = Paths(image_path=scene[0], input_path=scene[1], output_path=output, cache_path=cache)
     options = PipelineOptions(num_threads=2, report=False, **PLAIN | options)
@@ -160,12 +160,12 @@ def test_a_cache_of_another_user_is_read(public, other_user, caplog):
 
 
 def test_a_cache_of_another_user_saves_work(small, public, other_user, tmp_path):
-    counts = mesh(small, tmp_path / "first", public / "cache")[1]
+    counts = trace(small, tmp_path / "first", public / "cache")[1]
     images, sparse = (shutil.copytree(path, public / path.name) for path in small)
     (public / "out").mkdir()
     (public / "out").chmod(0o777)
     with other_user():
-        found = mesh((images, sparse), public / "out" / "edges", public / "cache")[1]
+        found = trace((images, sparse), public / "out" / "edges", public / "cache")[1]
     assert reused(found) == (6, counts["trace"]["edges"])
 
 
@@ -187,10 +187,10 @@ def test_edges_come_back_with_their_observations_and_contours(scene_edges, tmp_p
 
 def test_second_run_reuses_and_gives_the_same(small, tmp_path, hash_output):
     """With all stages: some of them read what detection leaves in memory."""
-    whole = dict.fromkeys(PLAIN, True)
-    reference = mesh(small, tmp_path / "reference", **whole)[0]
-    first, made = mesh(small, tmp_path / "first", tmp_path / "cache", **whole)
-    again, found = mesh(small, tmp_path / "again", tmp_path / "cache", **whole)
+    whole = {"command": "mesh", **dict.fromkeys(PLAIN, True)}
+    reference = trace(small, tmp_path / "reference", **whole)[0]
+    first, made = trace(small, tmp_path / "first", tmp_path / "cache", **whole)
+    again, found = trace(small, tmp_path / "again", tmp_path / "cache", **whole)
     assert reused(made) == (0, 0)
     assert reused(found) == (6, found["trace"]["edges"])
     assert found["trace"]["edges"] > 0
@@ -206,12 +206,13 @@ def test_changed_inputs_are_recomputed(small, tmp_path):
     images, cache = tmp_path / "images", tmp_path / "cache"
     shutil.copytree(small[0], images)
     scene, output = (images, small[1]), tmp_path / "out"
-    edges = mesh(scene, output, cache)[1]["trace"]["edges"]
+    edges = trace(scene, output, cache, "mesh")[1]["trace"]["edges"]
     meshing = MeshingOptions(quality_weight=0.5)
     written = {"output_type": "TXT", "mesh_type": "OBJ"}
-    assert reused(mesh(scene, output, cache, meshing=meshing, **written)[1]) == (6, edges)
+    again = trace(scene, output, cache, "mesh", meshing=meshing, **written)[1]
+    assert reused(again) == (6, edges)
     tracing = TracingOptions(curve_step_points=5)
-    cached = partial(mesh, scene, output, cache, "reconstruct")
+    cached = partial(trace, scene, output, cache)
     assert reused(cached(tracing=tracing)[1]) == (6, 0)
     assert reused(cached(random_seed=1)[1]) == (6, 0)
     detection = DetectionOptions(min_chain_points=14)
@@ -226,7 +227,9 @@ def test_poses_refined_on_edges_come_back(small, tmp_path, hash_output):
     model.mkdir()
     with_pose_noise(pycolmap.Reconstruction(small[1]), 0.5, 3).write(str(model))
     scene = (small[0], model)
-    outputs = [mesh(scene, tmp_path / name, tmp_path / "cache", refine_poses=True) for name in "ab"]
+    outputs = [
+        trace(scene, tmp_path / name, tmp_path / "cache", refine_poses=True) for name in "ab"
+    ]
     made, found = (counts["trace"] for _, counts in outputs)
     assert made["details"]["poses"]["refined"]
     assert found["details"] == made["details"]
@@ -238,9 +241,9 @@ def test_damaged_images_are_left_out_again(small, tmp_path, hash_output):
     images = tmp_path / "images"
     shutil.copytree(small[0], images)
     sorted(images.iterdir())[1].write_bytes(b"no image")
-    plain = mesh((images, small[1]), tmp_path / "plain")[0]
+    plain = trace((images, small[1]), tmp_path / "plain")[0]
     for name, expected in (("first", 0), ("again", 5)):
-        output, counts = mesh((images, small[1]), tmp_path / name, tmp_path / "cache")
+        output, counts = trace((images, small[1]), tmp_path / name, tmp_path / "cache")
         assert counts["detect"]["images_damaged"] == 1
         assert counts["detect"]["images_reused"] == expected
         assert hash_output(output) == hash_output(plain)
@@ -248,17 +251,17 @@ def test_damaged_images_are_left_out_again(small, tmp_path, hash_output):
 
 def test_damaged_entries_are_made_again(small, reference, tmp_path, hash_output):
     cache = tmp_path / "cache"
-    mesh(small, tmp_path / "out", cache)
+    trace(small, tmp_path / "out", cache)
     entries = sorted(cache.rglob("*.entry"))
     assert len(entries) == 7
     sizes = [path.stat().st_size for path in entries]
     for path in entries[::2]:
         path.write_bytes(path.read_bytes()[:-100])
-    output, counts = mesh(small, tmp_path / "out", cache)
+    output, counts = trace(small, tmp_path / "out", cache)
     assert hash_output(output) == hash_output(reference)
     assert reused(counts)[0] < 6
     assert [path.stat().st_size for path in entries] == sizes
-    assert reused(mesh(small, tmp_path / "out", cache)[1]) == (6, counts["trace"]["edges"])
+    assert reused(trace(small, tmp_path / "out", cache)[1]) == (6, counts["trace"]["edges"])
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(
@@ -267,7 +270,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(
     cache = tmp_path / "cache"
     cache.mkdir()
     (cache / "edge_graphs").touch()  # where a folder should be
-    output, counts = mesh(small, tmp_path / "out", cache)
+    output, counts = trace(small, tmp_path / "out", cache)
     assert caplog.text.count("cannot write cache entry") == 1  # not one an image
     assert hash_output(output) == hash_output(reference)
     assert reused(counts) == (0, 0)
@@ -276,7 +279,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(
 def test_output_within_the_cache_is_refused(small, tmp_path):
     (tmp_path / "cache").mkdir()
     with pytest.raises(ColmapEdgesError, match="choose another folder"):
-        mesh(small, tmp_path / "cache" / "out", tmp_path / "cache")
+        trace(small, tmp_path / "cache" / "out", tmp_path / "cache")
 
 
 def test_a_scheduler_needs_a_cache(small, tmp_path):
@@ -286,11 +289,10 @@ def test_a_scheduler_needs_a_cache(small, tmp_path):
 
 
 def command(scene, output, cache):
-    """The words of the command that meshes a scene with a cache."""
+    """The words of the command that traces the edges of a scene with a cache."""
     flags = ["--image_path", scene[0], "--input_path", scene[1], "--output_path", output]
     flags += ["--cache_path", cache, "--num_threads", 1, "--overwrite"]
-    flags += [word for name in PLAIN for word in (f"--{name}", 0)]
-    return ["mesh", *map(str, flags)]
+    return ["reconstruct", *map(str, flags), "--refine_poses", "0"]
 
 
 def test_two_runs_at_once_share_a_cache(small, reference, tmp_path, hash_output):
@@ -312,7 +314,7 @@ def test_killed_runs_leave_no_half_entries(small, reference, tmp_path, hash_outp
         process.kill()
         process.communicate()
         left = len(list(cache.rglob("*.entry")))
-        output, counts = mesh(small, tmp_path / "out", cache)
+        output, counts = trace(small, tmp_path / "out", cache)
         assert "damaged" not in caplog.text
         assert hash_output(output) == hash_output(reference)
         assert reused(counts)[0] == min(left, 6)
@@ -358,7 +360,7 @@ FORGED = {
 
 def test_forged_entries_are_made_again(small, reference, tmp_path, hash_output, caplog):
     """Sealed like entries, but no result of a run."""
-    mesh(small, tmp_path / "out", tmp_path / "cache")
+    trace(small, tmp_path / "out", tmp_path / "cache")
     for name, (kind, change) in FORGED.items():
         cache = tmp_path / name
         shutil.copytree(tmp_path / "cache", cache)
@@ -366,7 +368,7 @@ def test_forged_entries_are_made_again(small, reference, tmp_path, hash_output, 
         if kind == "edge_graphs":
             shutil.rmtree(cache / "edges")
         caplog.clear()
-        output, counts = mesh(small, tmp_path / "out", cache)
+        output, counts = trace(small, tmp_path / "out", cache)
         assert hash_output(output) == hash_output(reference), name
         assert caplog.text.count("is damaged; it is made again") == (6 if "graph" in kind else 1)
         assert reused(counts)[0 if "graph" in kind else 1] == 0
@@ -375,5 +377,5 @@ def test_forged_entries_are_made_again(small, reference, tmp_path, hash_output, 
 @pytest.mark.parametrize("place", [0, 1])
 def test_a_cache_among_the_inputs_is_refused(small, tmp_path, place):
     with pytest.raises(ColmapEdgesError, match=r"cache_path .* is inside or around the input"):
-        mesh(small, tmp_path / "out", small[place] / "cache")
+        trace(small, tmp_path / "out", small[place] / "cache")
     assert not (small[place] / "cache").exists()
