@@ -147,7 +147,7 @@ def test_edges_on_panoramas(tmp_path):
     add_rig(reconstruction, processor.rig_config)
     add_points(reconstruction, add_frames(reconstruction, processor, names, poses))
     reconstruction.write_binary(str(tmp_path))
-    found = colmap_edges.reconstruct(tmp_path, tmp_path / "images")
+    found = colmap_edges.reconstruct(tmp_path, tmp_path / "images", scenes.EDGES_ALONE)
     truth = scenes.Scene(scenes.true_curves(scenes.solids()), None, None, {}, None)
     distances = truth.distances(found.edges.points)
     lengths = np.linalg.norm(np.diff(found.edges.points[found.edges.segments], axis=1), axis=2)
