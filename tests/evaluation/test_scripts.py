@@ -1,6 +1,7 @@
 """The scripts that make tables from images, run on the miniature."""
 
 import json
+import shutil
 
 import miniature
 import numpy as np
@@ -64,6 +65,7 @@ def test_paper_tables_over_strecha_and_dtu_with_a_peer_of_one_scene(root, sparse
         path.rename(scene / "gt_dense_cameras" / path.name)
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
     write_line3dpp(sparse, tmp_path / "lines_DTU-006.txt")
+    shutil.copytree(sparse, tmp_path / "out" / "toy-P7" / "sparse")  # triangulated there before
     command = ("evaluate.py", "scenes", "--strecha", scene, reference, "--dtu", root)
     command += ("--light", "3_r5000", "--positions", "1-6")
     command += ("--methods", "SfM", "--methods", "paper", "--methods", "edges")
