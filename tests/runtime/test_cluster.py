@@ -53,7 +53,8 @@ def reference(small, tmp_path_factory):
 def reconstruct(scene, output, cache=None, **arguments):
     """Output folder and, by stage, the counts of a run."""
     paths = Paths(image_path=scene[0], input_path=scene[1], output_path=output, cache_path=cache)
-    report = run("reconstruct", paths, PipelineOptions(num_threads=1), **arguments)
+    options = PipelineOptions(num_threads=1, report=False)
+    report = run("reconstruct", paths, options, **arguments)
     return output, {stage["name"]: stage["counts"] for stage in report["stages"]}
 
 
