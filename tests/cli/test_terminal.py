@@ -22,7 +22,7 @@ from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import printable
 
 FAST = ("--use_edges", "0", "--report", "0")
-PLAIN = ("--use_faces", "0", "--use_patches", "0")  # half of the time
+PLAIN = ("--use_faces", "0", "--use_patches", "0", "--refine_poses", "0")  # what takes long
 RED = "\x1b[31m"
 
 

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 RUNS, SOAK_RUNS = 4, 50
-PLAIN = ("--use_faces", 0, "--use_patches", 0)  # half of the time
+PLAIN = ("--use_faces", 0, "--use_patches", 0, "--refine_poses", 0)  # what takes long
 needs_mounts = pytest.mark.skipif(
     not shutil.which("unshare")
     or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode != 0,
