@@ -18,15 +18,26 @@ from colmap_edges.colmap.model import load_model
 
 # Files that take longest; they start first, so that at the end no process waits for one of them.
 LONGEST = (
-    *("project/test_examples.py", "scripts/test_reproduce_results.py", "project/test_docs.py"),
-    *("evaluation/test_scripts.py", "scripts/test_make_scene.py", "pipeline/test_dark_corners.py"),
-    *("colmap/test_camera_models.py", "cli/test_option_extremes.py", "report/test_report.py"),
-    *("cli/test_environment.py", "cli/test_terminal.py", "cli/test_cli.py"),
-    *("pipeline/test_determinism.py", "pipeline/test_interruption.py", "fuzzing/test_fuzzing.py"),
-    *("scripts/test_benchmark_scripts.py", "pipeline/test_edge_path.py", "core/test_distortion.py"),
-    *("evaluation/test_benchmark.py", "pipeline/test_pipeline.py", "surfaces/test_mesher.py"),
-    *("surfaces/test_silhouettes.py", "poses/test_refine_poses.py", "runtime/test_cache.py"),
-    *("colmap/test_plausibility.py", "runtime/test_cluster.py", "edges2d/test_working_scale.py"),
+    *("cli/test_option_extremes.py", "project/test_docs.py", "scripts/test_reproduce_results.py"),
+    *("cli/test_terminal.py", "report/test_report.py", "evaluation/test_scripts.py"),
+    *("pipeline/test_interruption.py", "runtime/test_cluster.py", "cli/test_cli.py"),
+    *("colmap/test_camera_models.py", "pipeline/test_pipeline.py", "pipeline/test_determinism.py"),
+    *(
+        "pipeline/test_dark_corners.py",
+        "scripts/test_benchmark_scripts.py",
+        "scripts/test_make_scene.py",
+    ),
+    *("fuzzing/test_fuzzing.py", "pipeline/test_edge_path.py", "runtime/test_cache.py"),
+    *("surfaces/test_mesher.py", "surfaces/test_silhouettes.py", "colmap/test_plausibility.py"),
+    *("evaluation/test_benchmark.py", "core/test_distortion.py", "images/test_background.py"),
+    *("poses/test_refine_poses.py", "scripts/test_try_scenes.py", "project/test_examples.py"),
+    *(
+        "scripts/test_making_the_demo_scene.py",
+        "scripts/test_fixed_scenes.py",
+        "cli/test_environment.py",
+    ),
+    *("edges2d/test_working_scale.py", "pipeline/test_nothing_lost.py", "colmap/test_model.py"),
+    *("pipeline/test_neighbours.py", "pipeline/test_panoramas.py", "project/test_site.py"),
 )
 RANKS = {name: rank for rank, name in enumerate(LONGEST)}
 
