@@ -39,6 +39,7 @@ from colmap_edges.surfaces.faces.grids import (
 from colmap_edges.surfaces.faces.hypotheses import Planes, find_planes
 from colmap_edges.surfaces.faces.labelling import (
     EvidenceWeights,
+    evidence_arrays,
     label_cells,
     make_scene,
     refine_labels,
@@ -237,12 +238,13 @@ def label_scene(
 
     `finer` are the pictures with cells half as large, in which borders of labels are refined.
     """
-    scene = make_scene(model, pictures, evidence, planes, num_threads)
+    known = evidence_arrays(evidence, planes, len(model.views))
+    scene = make_scene(model, pictures, known, num_threads)
     labels, side = label_cells(scene, num_rounds, num_threads, weights), 1
     if finer is not None:
         side = 2
         labels, pictures = doubled(labels, pictures, finer), finer
-        scene = make_scene(model, pictures, evidence, planes, num_threads)
+        scene = make_scene(model, pictures, known, num_threads)
         labels = refine_labels(scene, labels, num_threads, weights)
     angles = np.array([CELL_PX / picture.focal_px for picture in pictures])
     samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)

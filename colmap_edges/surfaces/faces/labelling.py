@@ -67,22 +67,13 @@ class BorderCosts(NamedTuple):
     crossing_factor: float = 0.35  # part of it where the two planes meet
 
 
-def make_scene(
-    model: Model, grids: Sequence[Grid], evidence: Evidence, planes: Planes, num_threads: int
-) -> Any:
-    """The kernel's scene: views with their pictures, planes, points, and who observes what."""
-    num_views = len(model.views)
+def evidence_arrays(evidence: Evidence, planes: Planes, num_views: int) -> tuple[Any, ...]:
+    """The kernel's arrays of planes and points, and of who observes what, whatever the pictures."""
     plane_offsets, plane_rows = planes_of_points(evidence, planes)
     observed_offsets, observed = observed_points(evidence.offsets, evidence.views, num_views)
     middle = np.median(evidence.points, axis=0)
     far = np.quantile(np.linalg.norm(evidence.points - middle, axis=1), 0.99)
-    return _kernels.FaceScene(
-        np.array([view.rotation for view in model.views]),
-        np.array([view.translation for view in model.views]),
-        np.array([grid.focal_px for grid in grids]),
-        np.array([grid.principal for grid in grids]),
-        [grid.gray for grid in grids],
-        [grid.shown for grid in grids],
+    return (
         np.ascontiguousarray(planes.normals),
         planes.offsets,
         evidence.points,
@@ -95,6 +86,21 @@ def make_scene(
         ),
         np.array([middle, [REACH * far, 0, 0]]),
         *extents_of(evidence, planes, plane_offsets, plane_rows),
+    )
+
+
+def make_scene(
+    model: Model, grids: Sequence[Grid], known: tuple[Any, ...], num_threads: int
+) -> Any:
+    """The kernel's scene: views with their pictures, and what is known of `evidence_arrays`."""
+    return _kernels.FaceScene(
+        np.array([view.rotation for view in model.views]),
+        np.array([view.translation for view in model.views]),
+        np.array([grid.focal_px for grid in grids]),
+        np.array([grid.principal for grid in grids]),
+        [grid.gray for grid in grids],
+        [grid.shown for grid in grids],
+        *known,
         num_threads,
     )
 

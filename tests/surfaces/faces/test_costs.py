@@ -20,6 +20,7 @@ from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import (
     REFINED_CELLS,
     EvidenceWeights,
+    evidence_arrays,
     label_cells,
     make_scene,
     refine_labels,
@@ -79,7 +80,8 @@ def around_the_ground(missing=0):
 def scene_of(views, pictures, missing=0):
     """What labels cost, of the ground alone."""
     evidence = around_the_ground(missing)
-    return make_scene(SimpleNamespace(views=views), pictures, evidence, GROUND, 1)
+    known = evidence_arrays(evidence, GROUND, len(views))
+    return make_scene(SimpleNamespace(views=views), pictures, known, 1)
 
 
 def labels_of(views, pictures, missing=0, num_rounds=1):

@@ -21,7 +21,7 @@ from colmap_edges.surfaces.faces.decision import (
 )
 from colmap_edges.surfaces.faces.grids import blank_grid, halved
 from colmap_edges.surfaces.faces.hypotheses import Planes
-from colmap_edges.surfaces.faces.labelling import make_scene
+from colmap_edges.surfaces.faces.labelling import evidence_arrays, make_scene
 
 CENTERS = np.array([[0.0, 0, 3], [0.2, 0, 3], [0, 0, -3], [0.2, 0, -3]])  # two above, two below
 PLANES = Planes(normals=np.tile([0.0, 0, 1], (3, 1)), offsets=np.array([0, -0.3, 1.5]))
@@ -62,7 +62,8 @@ def support(labels_below):
     views = four_views()
     grids = [halved(blank_grid(view)) for view in views]
     evidence = corners_of_plate()
-    scene = make_scene(SimpleNamespace(views=views), grids, evidence, PLANES, 1)
+    known = evidence_arrays(evidence, PLANES, len(views))
+    scene = make_scene(SimpleNamespace(views=views), grids, known, 1)
     cells = grids[0].gray.size // 16
     labels = np.repeat(np.array([0, 0, *labels_below], np.int32), cells)
     samples = sample_cells(scene, labels, CENTERS, ANGLES, 1)

@@ -27,7 +27,7 @@ from colmap_edges.surfaces.faces.grids import (
     with_background,
 )
 from colmap_edges.surfaces.faces.hypotheses import Planes
-from colmap_edges.surfaces.faces.labelling import make_scene
+from colmap_edges.surfaces.faces.labelling import evidence_arrays, make_scene
 
 
 def enclosed_cells(shown, touched, inside):
@@ -239,7 +239,8 @@ def lawn_is_enclosed(differs):
         line, 2 * np.arange(201), np.tile(np.arange(2, dtype=np.int32), 200), 0.01
     )
     planes = Planes(normals=np.eye(3)[1:2], offsets=np.ones(1))
-    scene = make_scene(SimpleNamespace(views=views), grids, evidence, planes, 1)
+    known = evidence_arrays(evidence, planes, len(views))
+    scene = make_scene(SimpleNamespace(views=views), grids, known, 1)
     samples = sample_at(np.array([[0.5, 1, 2.2]]), np.arange(2, dtype=np.int32))
     labels = np.concatenate([of.ravel() for of in labels]).astype(np.int32)
     return bool(are_enclosed(scene, samples, labels, grids)[0])
@@ -274,7 +275,8 @@ def floor_is_enclosed(
     evidence = evidence_of(line, np.arange(len(line) + 1), seen_by, 0.01)
     planes = Planes(normals=np.eye(3)[1:], offsets=np.array([1.0, depth_of_wall or 4]))
     samples = sample_at(np.array([[0.1, 1, 2.7]]), np.zeros(1, np.int32))
-    scene = make_scene(SimpleNamespace(views=(view,)), [grid], evidence, planes, 1)
+    known = evidence_arrays(evidence, planes, 1)
+    scene = make_scene(SimpleNamespace(views=(view,)), [grid], known, 1)
     return bool(are_enclosed(scene, samples, labels.ravel(), [grid])[0])
 
 
@@ -292,7 +294,8 @@ def test_labels_may_end_a_small_cell_before_the_points_that_enclose_them():
     seen_by = np.zeros(len(square), np.int32)
     evidence = evidence_of(square, np.arange(len(square) + 1), seen_by, 0.01)
     floor = Planes(normals=np.eye(3)[1:2], offsets=np.ones(1))
-    scene = make_scene(SimpleNamespace(views=(view,)), [grid], evidence, floor, 1)
+    known = evidence_arrays(evidence, floor, 1)
+    scene = make_scene(SimpleNamespace(views=(view,)), [grid], known, 1)
     samples = sample_at(np.array([[0.0, 1, 3]]), np.zeros(1, np.int32))
     labels = np.where(inside, 0, -1).astype(np.int32).ravel()
     given = (scene, samples, labels, [grid], 1)
