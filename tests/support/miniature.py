@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from scipy.io import savemat
 
-CALIBRATION = np.array([(315.0, 0, 120), (0, 315, 90), (0, 0, 1)])
-SIZE = (240, 180)
+CALIBRATION = np.array([(420.0, 0, 160), (0, 420, 120), (0, 0, 1)])
+SIZE = (320, 240)
 HEIGHT = 8.0  # of the square of side 24 in the middle, above the table z = 0
 
 
@@ -105,7 +105,7 @@ def write_mvsnet(root, scan=6, cameras=6):
 
 
 def true_depth(rotation, translation, calibration):
-    """Depth (45, 60) of both planes at the centres of the pixels of `calibration`."""
+    """Depth (60, 80) of both planes at the centres of the pixels of `calibration`."""
     rows, columns = np.indices((SIZE[1] // 4, SIZE[0] // 4)) + 0.5
     rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(calibration).T
     directions, center = rays @ rotation, -rotation.T @ translation
