@@ -91,12 +91,10 @@ def solve_poses(
     count, size = len(own), right.size
     rows = np.repeat(np.arange(count), np.diff(pattern.indptr))
     shared[pattern.indices == rows] += own
-    if count <= FEW_FRAMES:
-        whole = np.zeros((count, 6, count, 6))
-        whole[rows, :, pattern.indices] = shared
-        factor = cho_factor(whole.reshape(size, size) + prior.held @ prior.core @ prior.held.T)
-        return np.asarray(cho_solve(factor, right.ravel())).reshape(-1, 6)
     system = bsr_array((shared, pattern.indices, pattern.indptr), (size, size))
+    if count <= FEW_FRAMES:
+        factor = cho_factor(system.toarray() + prior.held @ prior.core @ prior.held.T)
+        return np.asarray(cho_solve(factor, right.ravel())).reshape(-1, 6)
     order = reverse_cuthill_mckee(pattern, symmetric_mode=True)
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)

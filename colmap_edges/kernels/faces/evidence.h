@@ -136,6 +136,7 @@ class FaceScene {
     const bool is_near = Norm(view.pose.center + depth * ray - center) <= reach;
     return is_near && !view.Hides(cell, depth) ? depth : NAN;
   }
+
   // Of some planes by what is observed.
   ViewCosts Costs(int32_t v, std::vector<int32_t> planes_of_view) const {
     ViewCosts made(std::move(planes_of_view), planes.size());

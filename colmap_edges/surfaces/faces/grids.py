@@ -125,6 +125,22 @@ def cell_offsets(grids: Sequence[Grid]) -> IntArray:
     return offsets_of(np.array([grid.shape[0] * grid.shape[1] for grid in grids], np.int64))
 
 
+def arrays_of(views: Sequence[View], grids: Sequence[Grid]) -> tuple[Any, ...]:
+    """V views and their pictures as kernels take them.
+
+    Returns:
+        (V, 3, 3) rotations and (V, 3) translations of the views, (V,) focal lengths and (V, 2)
+        principal points of the pictures in their pixels, and V arrays of gray levels.
+    """
+    return (
+        np.array([view.rotation for view in views]),
+        np.array([view.translation for view in views]),
+        np.array([grid.focal_px for grid in grids]),
+        np.array([grid.principal for grid in grids]),
+        [grid.gray for grid in grids],
+    )
+
+
 def size_of(view: View, num_columns: int) -> tuple[int, int, float]:
     """Width and height of a view's small picture, and its size over the image's."""
     factor = num_columns * CELL_PX / max(view.width, view.height)

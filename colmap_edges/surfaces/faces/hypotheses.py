@@ -183,7 +183,7 @@ class Hypotheses:
             self.sigmas,
             planes.normals,
             planes.offsets,
-            2 * TOLERANCE,  # noise takes one in ten points of a plane past it
+            2 * TOLERANCE,  # one in ten points of a plane is off by more than one tolerance
             MAX_SLOPE,
         )
         alone: BoolArray = np.diff(offsets) == 0

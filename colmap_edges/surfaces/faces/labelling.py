@@ -21,7 +21,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import Grid, cell_offsets
+from colmap_edges.surfaces.faces.grids import Grid, arrays_of, cell_offsets
 from colmap_edges.surfaces.faces.hypotheses import MAX_SLOPE, Planes
 
 NUM_NEIGHBORS = 12  # number of views with the most shared points, with which labels are compared
@@ -92,13 +92,9 @@ def evidence_arrays(evidence: Evidence, planes: Planes, num_views: int) -> tuple
 def make_scene(
     model: Model, grids: Sequence[Grid], known: tuple[Any, ...], num_threads: int
 ) -> Any:
-    """The kernel's scene: views with their pictures, and what is known of `evidence_arrays`."""
+    """The kernel's scene of views and their pictures; `known` are `evidence_arrays`."""
     return _kernels.FaceScene(
-        np.array([view.rotation for view in model.views]),
-        np.array([view.translation for view in model.views]),
-        np.array([grid.focal_px for grid in grids]),
-        np.array([grid.principal for grid in grids]),
-        [grid.gray for grid in grids],
+        *arrays_of(model.views, grids),
         [grid.shown for grid in grids],
         *known,
         num_threads,

@@ -32,7 +32,7 @@ from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_view
 from colmap_edges.errors import ColmapEdgesError, check_type
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ViewSelectionOptions
-from colmap_edges.surfaces.faces.grids import Grid, blank_grid
+from colmap_edges.surfaces.faces.grids import Grid, arrays_of, blank_grid
 from colmap_edges.surfaces.information import MIN_COSINE
 from colmap_edges.surfaces.patches.depths import NO_DEPTHS, Depths, depths_of
 from colmap_edges.surfaces.patches.sites import (
@@ -253,11 +253,7 @@ def make_scene(model: Model, grids: Sequence[Grid], neighborhood: Neighborhood) 
     """The kernel's scene."""
     near = [of[:NUM_NEIGHBORS] for of in neighborhood.neighbors]
     return _kernels.PatchScene(
-        np.array([view.rotation for view in model.views]),
-        np.array([view.translation for view in model.views]),
-        np.array([grid.focal_px for grid in grids]),
-        np.array([grid.principal for grid in grids]),
-        [grid.gray for grid in grids],
+        *arrays_of(model.views, grids),
         offsets_of(np.array([len(of) for of in near])),
         np.concatenate([np.zeros(0, np.int32), *near]).astype(np.int32),
         STEP_PX,
