@@ -17,14 +17,14 @@ NUM_DRAWS = 2  # number of draws; all but the first are from points that lie on 
 NUM_NEAR = 256  # number of nearest points from which the second edge of a pair is drawn
 AXIS_COSINE = np.cos(np.radians(3.0))
 MAX_SLOPE = 0.1  # maximum sine of the angle between an edge and its plane
-TOLERANCE = 0.8  # maximum distance of a point from its plane, in standard deviations
+TOLERANCE = 1.2  # maximum distance of a point from its plane, in standard deviations
 MIN_SHARE = 0.002  # minimum share of all edges' length on a plane
 MAX_PLANES = 60  # maximum number of planes with much evidence
 MAX_ENDS = 10  # maximum number of planes at which others end, besides those
 EXPLAINED_WEIGHT = 0.3  # weight of edges after each plane that they lie on: two meet at an edge
-SAME_SHARE = 0.8  # maximum share of shared points of planes that are nearly parallel
+SAME_SHARE = 0.7  # maximum share of shared points of planes that are nearly parallel
 MAX_BEYOND = 0.05  # maximum share of views behind a plane at which others end
-SNAP_GAIN = 0.93  # minimum share of a plane's support kept when it takes a common normal
+SNAP_GAIN = 0.97  # minimum share of a plane's support kept when it takes a common normal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,7 +175,7 @@ class Hypotheses:
         )
 
     def lie_alone(self, planes: Planes) -> BoolArray:
-        """(N,) whether points lie on none of the planes, nor near one."""
+        """(N,) whether points lie on none of the planes."""
         offsets, _ = _kernels.planes_of_points(
             self.points,
             self.tangents,
@@ -183,7 +183,7 @@ class Hypotheses:
             self.sigmas,
             planes.normals,
             planes.offsets,
-            2 * TOLERANCE,  # one in ten points of a plane is off by more than one tolerance
+            TOLERANCE,
             MAX_SLOPE,
         )
         alone: BoolArray = np.diff(offsets) == 0
