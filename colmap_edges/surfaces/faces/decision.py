@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import (
     BoolArray,
@@ -27,7 +28,8 @@ from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import CELL_PX, CLIPPED, Grid, cells_in
-from colmap_edges.surfaces.faces.labelling import EvidenceWeights, observed_points
+from colmap_edges.surfaces.faces.hypotheses import Planes
+from colmap_edges.surfaces.faces.labelling import ON_TOLERANCE, EvidenceWeights, observed_points
 
 AGREEING_SHARE = 1 / 2  # minimum share of agreeing views among those that contain the position
 MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agreeing view
@@ -36,7 +38,9 @@ MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per
 # where points lie on most faces, the mesh follows them, and faces add their errors only.
 MIN_PLAIN = 1 / 10
 PLAIN_CELLS = 2.0
-MAX_CLIPPED = 1 / 2  # maximum share of overexposed accepted cells
+# Maximum share of the accepted cells that are overexposed and next to a point off their plane: 0.27
+# of a white block on a white ground, below 0.07 of white boxes and of rooms.
+MAX_CLIPPED = 0.15
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
 SPACING_CELLS = 1.2  # distance between points of a face
 BORDER_SPACING_CELLS = 0.85  # next to small cells with another label, where surfaces may end
@@ -135,15 +139,50 @@ def are_plain(
 
 
 def are_overexposed(
-    samples: Samples, accepted: IntArray, views: Sequence[View], grids: Sequence[Grid]
+    samples: Samples,
+    accepted: IntArray,
+    planes: Planes,
+    views: Sequence[View],
+    grids: Sequence[Grid],
+    evidence: Evidence,
 ) -> bool:
-    """Whether most of (N,) accepted samples, one at least, are of cells that are nothing but white.
+    """Whether too many of (N,) accepted samples are of white cells next to points off their plane.
 
-    A white body before a white ground has no outline there, and views agree on the ground.
+    A white body before a white ground has no outline there, and views agree on the ground. What is
+    seen of its edges lies off the ground, while those of a white face lie on it.
     """
     own = samples.views[samples.offsets[accepted]]
     clipped = grays_at(samples.points[accepted], own, views, grids) >= CLIPPED
-    return bool(np.mean(clipped) > MAX_CLIPPED)
+    white = accepted[clipped]
+    near = nearest_observed(samples.points[white], own[clipped], views, grids, evidence)
+    normals, offsets = planes.normals[samples.planes[white]], planes.offsets[samples.planes[white]]
+    off = np.einsum("ij,ij->i", evidence.points[near], normals) - offsets
+    along = evidence.ray_sigmas[near] * np.einsum("ij,ij->i", evidence.rays[near], normals)
+    is_off = np.abs(off) > ON_TOLERANCE * np.hypot(evidence.sigmas[near], along)
+    return bool(np.sum(is_off) > MAX_CLIPPED * len(accepted))
+
+
+def nearest_observed(
+    places: FloatArray,
+    seeing: Int32Array,
+    views: Sequence[View],
+    grids: Sequence[Grid],
+    evidence: Evidence,
+) -> IntArray:
+    """(N,) the point nearest to each of (N, 3) places in the picture of the (N,) view seeing it.
+
+    Only points that the view observes; the first point if it observes none.
+    """
+    near = np.zeros(len(places), np.int64)
+    offsets, rows = observed_points(evidence.offsets, evidence.views, len(views))
+    sampled = parts_of(
+        order_of(seeing, len(views)), offsets_of(np.bincount(seeing, minlength=len(views)))
+    )
+    for view, grid, own, seen in zip(views, grids, sampled, parts_of(rows, offsets), strict=True):
+        if len(own) and len(seen):
+            tree = cKDTree(grid.pixels_of(view, evidence.points[seen]))
+            near[own] = seen[tree.query(grid.pixels_of(view, places[own]))[1]]
+    return near
 
 
 def thinned(samples: Samples, accepted: IntArray, near_border: BoolArray, side: int) -> IntArray:

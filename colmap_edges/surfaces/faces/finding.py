@@ -144,7 +144,7 @@ def find_faces(
     given = (model, pictures, bodies, num_threads)
     first = label_scene(*given, evidence, planes, 1, weights)
     plain = are_plain(first.samples, model.views, pictures, evidence)[first.accepted]
-    seen = (first.samples, first.accepted, model.views, pictures)
+    seen = (first.samples, first.accepted, first.planes, model.views, pictures, evidence)
     if not len(plain) or plain.mean() < MIN_PLAIN or are_overexposed(*seen):
         return first.faces(NO_FACES.points, NO_FACES.face_ids)
     before_backdrop = any(shown.any() for shown in backdrops(pictures))

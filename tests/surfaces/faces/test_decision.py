@@ -107,17 +107,24 @@ def test_places_far_from_all_points_of_their_view_are_plain():
     assert 0 < np.sum(upper & ~plain) < np.sum(upper & plain)
 
 
-@pytest.mark.parametrize(("white", "expected"), [(0, False), (1, False), (3, True), (4, True)])
-def test_images_are_overexposed_where_most_accepted_cells_are_white(white, expected):
-    samples, _ = support([1, 1])
+@pytest.mark.parametrize(
+    ("white", "expected"),
+    [((), False), ((0, 1), False), ((2, 3), True), ((0, 1, 2, 3), True)],
+)
+def test_images_are_overexposed_where_white_cells_are_next_to_points_off_their_plane(
+    white, expected
+):
+    samples, _ = support([1, 1])  # the observed points lie on the upper side only
     views = four_views()
     grids = [halved(blank_grid(view)) for view in views]
     for view, grid in enumerate(grids):
-        grid.gray[:] = 255 if view < white else 200
+        grid.gray[:] = 255 if view in white else 200
     accepted = np.flatnonzero(samples.agreeing > 0)
-    shares = np.bincount(samples.views[samples.offsets[accepted]], minlength=4) / len(accepted)
-    assert (shares > 0.1).all()
-    assert are_overexposed(samples, accepted, views, grids) == expected
+    own = np.bincount(samples.views[samples.offsets[accepted]], minlength=4) / len(accepted)
+    assert own[:2].sum() > 0.3
+    assert own[2:].sum() > 0.3
+    evidence = corners_of_plate()
+    assert are_overexposed(samples, accepted, PLANES, views, grids, evidence) == expected
 
 
 def test_samples_are_thinned_to_points_of_a_third_of_their_views():
