@@ -38,8 +38,8 @@ MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per
 # where points lie on most faces, the mesh follows them, and faces add their errors only.
 MIN_PLAIN = 1 / 10
 PLAIN_CELLS = 2.0
-# Maximum share of the accepted cells that are overexposed and next to a point off their plane: 0.27
-# of a white block on a white ground, below 0.07 of white boxes and of rooms.
+# Maximum share of the accepted cells that are overexposed and next to a point before their plane:
+# 0.27 of a white block on a white ground, 0 of a white box, below 0.07 of rooms.
 MAX_CLIPPED = 0.15
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
 SPACING_CELLS = 1.2  # distance between points of a face
@@ -146,10 +146,10 @@ def are_overexposed(
     grids: Sequence[Grid],
     evidence: Evidence,
 ) -> bool:
-    """Whether too many of (N,) accepted samples are of white cells next to points off their plane.
+    """Whether too many of (N,) accepted samples are of white cells next to points before them.
 
     A white body before a white ground has no outline there, and views agree on the ground. What is
-    seen of its edges lies off the ground, while those of a white face lie on it.
+    seen of its edges lies before the ground, while those of a white face lie on it or behind it.
     """
     own = samples.views[samples.offsets[accepted]]
     clipped = grays_at(samples.points[accepted], own, views, grids) >= CLIPPED
@@ -158,8 +158,10 @@ def are_overexposed(
     normals, offsets = planes.normals[samples.planes[white]], planes.offsets[samples.planes[white]]
     off = np.einsum("ij,ij->i", evidence.points[near], normals) - offsets
     along = evidence.ray_sigmas[near] * np.einsum("ij,ij->i", evidence.rays[near], normals)
-    is_off = np.abs(off) > ON_TOLERANCE * np.hypot(evidence.sigmas[near], along)
-    return bool(np.sum(is_off) > MAX_CLIPPED * len(accepted))
+    centers = np.array([view.center for view in views])[own[clipped]]
+    off *= np.sign(np.einsum("ij,ij->i", centers, normals) - offsets)
+    is_before = off > ON_TOLERANCE * np.hypot(evidence.sigmas[near], along)
+    return bool(np.sum(is_before) > MAX_CLIPPED * len(accepted))
 
 
 def nearest_observed(
