@@ -1,19 +1,18 @@
 """Cases from outside, in `../shared/cases`: each shows that its fault is gone, or is skipped.
 
-Cases run in a folder of their own, which looks like the project's root to them.
+Cases run in a folder of their own, which looks like the project's root to them. Those whose fault
+a test of the project guards against, too, run in the long version alone.
 """
 
 import importlib.util
+import itertools
 import os
 import re
 import shutil
 import subprocess
 import sys
-import zlib  # noqa: F401 - before pycolmap
 from pathlib import Path
 
-import numpy as np
-import pycolmap
 import pytest
 from project import ROOT
 
@@ -22,10 +21,63 @@ HOSTILE = sorted(CASES.glob("hostile/[0-9]*"))
 NUMBERED = sorted(CASES.glob("[0-9]*/make.py"))
 PYTHON = Path(sys.executable)
 REWRITTEN = {
-    "01-mesh-ply-far-from-origin.py": "it takes every PLY for 32-bit; the next test reads headers",
-    "10-api-invalid-input.py": "NaN points end it once they are refused; see core/test_checks.py",
+    "01-mesh-ply-far-from-origin": "it takes every PLY for 32-bit; "
+    "see pipeline/test_far_from_origin.py",
+    "10-api-invalid-input": "NaN points end it once they are refused; see core/test_checks.py",
 }
-SLOW = {"09-sigterm-while-importing.py"}  # 25 imports; tests/cli/test_environment.py has one
+# The project's own tests of the same faults, by the name of the case.
+COVERED = {
+    "01-last-blank-line": ("colmap/test_text_files.py::test_empty_lines_may_be_missing",),
+    "02-stale-frames": ("colmap/test_pose_check.py::test_frames_older_than_images_are_named",),
+    "03-frames-of-deleted-images": (
+        "colmap/test_pose_check.py::test_frames_of_other_images_are_named",
+    ),
+    "05-mesh-in-ecef": (
+        "pipeline/test_far_from_origin.py::test_meshes_of_all_formats_keep_their_triangles",
+    ),
+    "08-space-in-text-name": ("colmap/test_text_files.py::test_names_may_have_spaces",),
+    "10-inconsistent-text": (
+        "colmap/test_text_files.py::test_a_model_is_read_as_it_stands",
+        "colmap/test_text_files.py::test_faults_name_file_and_line",
+    ),
+    "11-smaller-model-in-0": (
+        "colmap/test_workspace.py::test_the_model_of_most_images_is_used",
+        "colmap/test_workspace.py::test_other_models_are_said_with_their_sizes",
+    ),
+    "12-step-of-a-small-unit": (
+        "export/test_curves_as_files.py::test_the_cad_kernel_reads_curves_of_scenes_in_any_unit",
+        "cli/test_export.py::test_curves_that_a_step_file_cannot_hold_are_counted",
+    ),
+    "13-transparent-pixels": (
+        "images/test_masks.py::test_transparent_pixels_are_masked_as_by_a_mask",
+    ),
+    "02-export-overwrites": (
+        "cli/test_export.py::test_links_are_not_written_through",
+        "cli/test_export.py::test_a_failed_export_leaves_the_earlier_file",
+        "cli/test_export.py::test_pipes_and_folders_are_refused",
+    ),
+    "03-dask-waits-forever": ("runtime/test_cluster.py::test_clusters_without_workers",),
+    "04-cache-entry-traceback": (
+        "runtime/test_cache.py::test_forged_entries_are_made_again",
+        "runtime/test_cache.py::test_entries_of_other_content_are_not_found",
+    ),
+    "05-svg-invalid-xml": (
+        "export/test_curves_as_files.py::test_svg_is_xml_whatever_the_image_is_called",
+    ),
+    "06-odd-timezone": ("cli/test_environment.py::test_odd_variables_change_nothing",),
+    "07-nul-in-text-model": ("colmap/test_text_files.py::test_faults_name_file_and_line",),
+    "08-segfault-tiny-coordinates": (
+        "surfaces/test_mesher.py::test_cameras_at_infinity_are_an_error",
+    ),
+    "09-sigterm-while-importing": ("cli/test_environment.py::test_signals_while_libraries_load",),
+    "11-dask-silent-port": (
+        "runtime/test_cluster.py::test_a_silent_scheduler_is_given_up",
+        "runtime/test_cluster.py::test_waiting_for_a_scheduler_ends_at_once",
+    ),
+    "12-fov-camera-traceback": (
+        "colmap/test_plausibility.py::test_lenses_that_cannot_be_undone_are_refused",
+    ),
+}
 # Runs a case whose programs are named relative to the folder it was started in.
 RUNNER = """
 import os, runpy, subprocess, sys
@@ -69,35 +121,23 @@ def call(folder, *words, **variables):
     )
 
 
+def skip_covered(name, soak):
+    if name in COVERED and not soak:
+        pytest.skip(f"--soak runs it; the same fault is that of {' and '.join(COVERED[name])}")
+
+
 @pytest.mark.parametrize("case", HOSTILE, ids=[path.stem for path in HOSTILE])
-def test_hostile_cases(root, case, soak):
+def test_hostile_cases(request, case, soak):
     """Each script exits 1 while its fault is there."""
-    if case.name in SLOW and not soak:
-        pytest.skip("25 runs; --soak runs it")
-    if case.name in REWRITTEN:
-        pytest.skip(REWRITTEN[case.name])
+    skip_covered(case.stem, soak)
+    if case.stem in REWRITTEN:
+        pytest.skip(REWRITTEN[case.stem])
     if "dask" in case.name:
         pytest.importorskip("distributed", reason="dask is not installed")
+    root = request.getfixturevalue("root")  # a run of the program, which skipped cases do not need
     start = ["bash", case] if case.suffix == ".sh" else [PYTHON, "-c", RUNNER, case]
     done = call(root, *start)
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.parametrize("shift", [(356_000.0, 5_712_000.0, 100.0), (1e9, 1e9, 1e9)])
-def test_meshes_far_from_the_origin(root, tmp_path, shift):
-    trimesh = pytest.importorskip("trimesh", reason="meshes are read with trimesh")
-    scene = root / "build" / "hostile" / "w"
-    model = pycolmap.Reconstruction(str(scene / "sparse" / "0"))
-    model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(np.eye(3)), np.array(shift)))
-    (tmp_path / "model").mkdir()
-    model.write_binary(str(tmp_path / "model"))
-    paths = "--image_path", scene / "images", "--input_path", tmp_path / "model"
-    less = "--quality", "low", "--report", "0", "--output_path", tmp_path / "out"
-    done = call(root, PYTHON.with_name("colmap-edges"), "mesh", *paths, *less)
-    assert "Note" in done.stdout, done.stderr
-    mesh = trimesh.load(tmp_path / "out" / "mesh.ply", process=False)
-    assert len(mesh.faces) > 1000
-    assert (mesh.area_faces == 0).mean() <= 0.02
 
 
 @pytest.fixture
@@ -193,8 +233,9 @@ NEEDS = {"05-mesh-in-ecef": "trimesh", "12-step-of-a-small-unit": "OCP"}
 
 
 @pytest.mark.parametrize("name", RIGHT)
-def test_numbered_cases(outcomes, name):
+def test_numbered_cases(outcomes, name, soak):
     """What each case's README calls right."""
+    skip_covered(name, soak)
     if not (CASES / name).is_dir():
         pytest.skip(f"there is no case {name}")
     if name in NEEDS and importlib.util.find_spec(NEEDS[name]) is None:
@@ -207,3 +248,9 @@ def test_numbered_cases(outcomes, name):
 
 def test_no_case_is_forgotten():
     assert {path.parent.name for path in NUMBERED} <= RIGHT.keys()
+
+
+def test_tests_that_cover_cases_are_there():
+    for name in itertools.chain(*COVERED.values()):
+        path, _, function = name.partition("::")
+        assert f"\ndef {function}(" in (ROOT / "tests" / path).read_text(encoding="utf-8"), name

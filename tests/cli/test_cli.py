@@ -236,7 +236,7 @@ def test_messages_spell_flags_as_help_does(flags, tmp_path, args, message):
 def test_one_config_serves_all_commands(quick, tmp_path):
     config = tmp_path / "config.toml"
     config.write_text(
-        "quality = 'low'\nexport = 'DXF, glb'\nmesh_type = 'OBJ'\n"
+        "quality = 'low'\nexport = 'DXF, glb'\nmesh_type = 'OBJ'\nuse_faces = false\n"
         "[Detection]\ngamma = 2\n[Meshing]\nmax_faces = 500\n"
     )
     call("detect", *quick, "--config", config)

@@ -78,6 +78,23 @@ def test_every_format_is_written(run_path, scene_model, tmp_path, name):
         assert len(ezdxf.readfile(tmp_path / name).modelspace()) == curves.num_curves
 
 
+def test_curves_that_a_step_file_cannot_hold_are_counted(run_path, tmp_path):
+    """The number that is said is that of the file, and a note has the rest."""
+    pytest.importorskip("OCP", reason="STEP files are written by OpenCASCADE (extra step)")
+    shutil.copytree(run_path, tmp_path / "run")
+    record = json.loads((tmp_path / "run" / "edges.json").read_text())
+    for line in [curve for curve in record["curves"] if curve["kind"] == "line"][:2]:
+        line["end"] = line["start"]
+    (tmp_path / "run" / "edges.json").write_text(json.dumps(record))
+    done = export("--run_path", tmp_path / "run", "--output_path", tmp_path / "a.step")
+    assert done.exit_code == 0, done.output
+    count = len(record["curves"])
+    assert f"Note: 2 of {count} curves are left out, since they have no length" in done.output
+    assert f"\n{count - 2} curves of " in done.output
+    text = (tmp_path / "a.step").read_text().replace("\n", "")
+    assert text.count("GEOMETRIC_CURVE_SET('edge ") == count - 2
+
+
 def test_a_run_writes_the_same_files(run_path, scene_model, tmp_path, hash_folder):
     names = formats_of("obj,GLB, dxf,svg,limap,dxf")
     assert names == ["obj", "glb", "dxf", "svg", "limap"]

@@ -105,7 +105,7 @@ def test_values_of_all_flags_are_taken_or_refused_in_one_line(show):
 
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory):
-    """A function that runs a tiny scene with one option changed, and checks what is written.
+    """A function that runs a tiny scene with some options, and checks what is written.
 
     Runs share a cache, so that each does only what its option changes.
     """
@@ -113,7 +113,7 @@ def tiny(tmp_path_factory):
     images, model = scenes.make_scene(num_views=5, width=160, height=120).write(folder / "scene")
     numbers = count()
 
-    def work(group, name, value, command="mesh"):
+    def work(options, command="mesh"):
         output = folder / f"out{next(numbers)}"
         paths = Paths(
             image_path=images,
@@ -122,7 +122,7 @@ def tiny(tmp_path_factory):
             cache_path=folder / "cache",
         )
         started = time.process_time()  # other programs may be at work, too
-        report = run(command, paths, changed(group, name, value))
+        report = run(command, paths, options)
         assert time.process_time() - started < LIMIT_S
         text = (output / "report.json").read_text()
         assert json.loads(text, parse_constant=pytest.fail)["stages"] == report["stages"]
@@ -135,9 +135,11 @@ def tiny(tmp_path_factory):
     return work
 
 
-def changed(group, name, value):
+SHORT = PipelineOptions(report=False)
+
+
+def changed(group, name, value, made=SHORT):
     """Options with one changed, and those without which that one does nothing."""
-    made = PipelineOptions(report=False)
     if group in PAPER:
         made = replace(made, tracing=TracingOptions(method="paper"))
     if group == "bundle_adjustment":
@@ -159,7 +161,7 @@ def test_runs_end_at_both_ends_of_every_range(tiny, group, entry, soak, show):
         values = [*inside, type(low)(middle), *near_zero(low, high)]
     command = "mesh" if soak or group in ("", "meshing") else "reconstruct"
     for value in values:
-        tiny(group, entry.name, value, command)
+        tiny(changed(group, entry.name, value), command)
     show(f"{flag_of(group, entry)}: {len(values)} runs")
 
 
@@ -168,19 +170,30 @@ def near_zero(low, high):
     return [1e-300, 1e-9] if isinstance(low, float) and low <= 0 < high else []
 
 
-def test_runs_with_every_choice_and_truth_value(tiny, show):
-    runs = 0
+def other_values(entry):
+    """The values of a choice or a truth value that are not its default."""
+    return sorted({*(entry.metadata["choices"] or (False, True))} - {entry.default})
+
+
+def test_runs_with_every_choice_and_truth_value(tiny, soak, show):
+    """One by one what turns stages off, and in the long version all; else several in a run."""
+    alone, together = [], {}
     for group, entry in OTHERS:
         if entry.name in ("use_edges", "masks_are_background"):  # need or contradict others
             continue
-        for value in {*(entry.metadata["choices"] or (False, True))} - {entry.default}:
-            tiny(group, entry.name, value)
-            runs += 1
-    show(f"words and truth values: {runs} runs")
+        for at, value in enumerate(other_values(entry)):
+            if soak or entry.name.startswith("use_"):
+                alone.append(changed(group, entry.name, value))
+            else:
+                together[at] = changed(group, entry.name, value, together.get(at, SHORT))
+    runs = [*alone, *together.values()]
+    for options in runs:
+        tiny(options)
+    show(f"words and truth values: {len(runs)} runs")
 
 
 def test_the_reference_has_edges_and_a_mesh(tiny):
     """A scene in which nothing is found would pass everything."""
-    found = tiny("", "report", False)
+    found = tiny(SHORT)
     assert found["trace"]["edges"] > 5
     assert found["mesh"]["faces"] > 300

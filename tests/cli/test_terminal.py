@@ -81,7 +81,8 @@ def test_errors_with_a_closed_stream_keep_their_code(small, tmp_path):
 
 @pytest.mark.parametrize(("ignored", "code"), [(True, 0), (False, 129)])
 def test_nohup_is_respected(small, tmp_path, ignored, code):
-    process = Forked(COMMAND, *command(small, tmp_path / "out")[3:], hangup_ignored=ignored)
+    words = command(small, tmp_path / "out", *PLAIN)[3:]
+    process = Forked(COMMAND, *words, hangup_ignored=ignored)
     end = time.monotonic() + 60
     while not any(tmp_path.glob(".out.*/new")) and time.monotonic() < end:
         time.sleep(0.002)

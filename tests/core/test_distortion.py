@@ -23,7 +23,6 @@ DEPTH_PX = 50.0  # pixels off to the side that weigh as much as a depth e times 
 # pinhole's, such that no pixel looks beyond the borders of the photograph.
 LENSES = {
     "PINHOLE": ((), 1.0),
-    "SIMPLE_RADIAL": ((-0.08,), 1.0),
     "OPENCV": ((-0.12, 0.04, 0.002, -0.0015), 1.0),
     "OPENCV_FISHEYE": ((0.02, -0.03, 0.01, -0.002), 1.12),
 }

@@ -340,14 +340,14 @@ def test_half_of_the_points_judges_the_mesh_of_the_other(sparse):
 
 @pytest.fixture(scope="module")
 def run_path(root, sparse, tmp_path_factory):
-    """Output of `colmap-edges mesh` on the miniature."""
-    from colmap_edges.options import PipelineOptions
+    """Output of `colmap-edges mesh` on the miniature, without faces."""
     from colmap_edges.pipeline.paths import Paths
     from colmap_edges.pipeline.run import run
 
     out = tmp_path_factory.mktemp("run") / "out"
     images = root / "Rectified" / "scan6"
-    run("mesh", Paths(image_path=images, input_path=sparse, output_path=out), PipelineOptions())
+    paths = Paths(image_path=images, input_path=sparse, output_path=out)
+    run("mesh", paths, replace(EDGES_ALONE, report=False))
     return out
 
 

@@ -30,68 +30,74 @@ def write_line3dpp(sparse, path):
     path.write_text(" ".join(map(str, words)) + "\n")
 
 
-def test_dtu_tables_with_a_peer_a_missing_scan_and_again(root, sparse, tmp_path):
-    write_line3dpp(sparse, tmp_path / "lines_6.txt")
-    command = ("evaluate.py", "scenes", "--dtu", root, "--output_path", tmp_path / "out")
-    command += ("--scans", 6, "--scans", 23, "--methods", "SfM", "--methods", "edges")
-    command += ("--peers", f"Line3D++={tmp_path}/lines_{{scan}}.txt")
-    done = run_script(*command)
-    assert "- DTU-023, SfM: " in done.stdout
-    results = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    methods = results["DTU-006"]["methods"]
-    assert list(methods) == ["SfM", "edges", "Line3D++"]
-    for record in methods.values():
-        assert record["mesh"]["median"] < 0.1
-        assert record["dtu"]["overall"] < 2
-    assert methods["SfM"]["mesh"]["coverage"] > 0.9
-    assert methods["SfM"]["dtu"]["accuracy"] < 1.5
-    assert methods["SfM"]["points"]["count"] > 300
-    assert (tmp_path / "out" / "DTU-006" / "SfM" / "maps").is_dir()
-    assert "| DTU-006 (mm) | SfM |" in (tmp_path / "out" / "evaluation.md").read_text()
-    assert methods["Line3D++"]["points"]["mae"] < 0.3  # between samples 0.5 mm apart
-    assert methods["Line3D++"]["points"]["count"] > 10
-    again = run_script(*command)
-    assert again.stdout.count("done before") == 3
-    assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == results
-
-
-def test_paper_tables_over_strecha_and_dtu_with_a_peer_of_one_scene(root, sparse, tmp_path):
-    images = root / "Rectified" / "scan6"
-    scene = tmp_path / "toy-P7"
+@pytest.fixture(scope="module")
+def command(root, sparse, tmp_path_factory):
+    """The words that make tables over three scenes, of which one has a peer and one is missing."""
+    images, folder = root / "Rectified" / "scan6", tmp_path_factory.mktemp("tables")
+    scene, out = folder / "toy-P7", folder / "out"
     model = ("--image_path", images, "--input_path", sparse, "--output_path", scene / "images")
     run_script("evaluate.py", "layout", "--layout", "strecha", *model)
     (scene / "gt_dense_cameras").mkdir()
     for path in (scene / "images").glob("*.camera"):
         path.rename(scene / "gt_dense_cameras" / path.name)
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
-    write_line3dpp(sparse, tmp_path / "lines_DTU-006.txt")
-    shutil.copytree(sparse, tmp_path / "out" / "toy-P7" / "sparse")  # triangulated there before
-    command = ("evaluate.py", "scenes", "--strecha", scene, reference, "--dtu", root)
-    command += ("--light", "3_r5000", "--positions", "1-6")
-    command += ("--methods", "SfM", "--methods", "paper", "--methods", "edges")
-    command += ("--peers", f"Line3D++={tmp_path}/lines_{{scene}}.txt")
-    command += ("--baseline", "Line3D++", "--output_path", tmp_path / "out")
+    write_line3dpp(sparse, folder / "lines_DTU-006.txt")
+    shutil.copytree(sparse, out / "toy-P7" / "sparse")  # triangulated there before
+    words = ("evaluate.py", "scenes", "--strecha", scene, reference, "--dtu", root)
+    words += ("--scans", 6, "--scans", 23, "--light", "3_r5000", "--positions", "1-6")
+    words += ("--methods", "SfM", "--methods", "paper", "--methods", "edges")
+    words += ("--peers", f"Line3D++={folder}/lines_{{scene}}.txt")
+    return (*words, "--baseline", "Line3D++", "--output_path", out)
+
+
+@pytest.fixture(scope="module")
+def tables(command):
+    """The folder of the tables, their figures, and what was printed."""
     done = run_script(*command)
-    results = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    assert {name: list(entry["methods"]) for name, entry in results.items()} == {
+    results = json.loads((command[-1] / "evaluation.json").read_text())
+    return command[-1], results, done.stdout
+
+
+def test_dtu_tables_with_a_peer_a_missing_scan_and_again(command, tables):
+    out, results, printed = tables
+    assert "- DTU-023, SfM: " in printed
+    methods = results["DTU-006"]["methods"]
+    for record in methods.values():
+        assert record["mesh"]["median"] < 0.1
+        assert record["dtu"]["overall"] < 2
+    assert methods["SfM"]["mesh"]["coverage"] > 0.9
+    assert methods["SfM"]["dtu"]["accuracy"] < 1.5
+    assert methods["SfM"]["points"]["count"] > 300
+    assert (out / "DTU-006" / "SfM" / "maps").is_dir()
+    assert "| DTU-006 (mm) | SfM |" in (out / "evaluation.md").read_text()
+    assert methods["Line3D++"]["points"]["mae"] < 0.3  # between samples 0.5 mm apart
+    assert methods["Line3D++"]["points"]["count"] > 10
+    again = run_script(*command)
+    assert again.stdout.count("done before") == 3 + 4
+    assert json.loads((out / "evaluation.json").read_text()) == results
+
+
+def test_paper_tables_over_strecha_and_dtu_with_a_peer_of_one_scene(command, tables):
+    out, results, printed = tables
+    measured = {name: results[name]["methods"] for name in ("toy-P7", "DTU-006")}
+    assert {name: list(methods) for name, methods in measured.items()} == {
         "toy-P7": ["SfM", "paper", "edges"],
         "DTU-006": ["SfM", "paper", "edges", "Line3D++"],
     }
-    names = (tmp_path / "out" / "DTU-006" / "images.txt").read_text().split()
+    names = (out / "DTU-006" / "images.txt").read_text().split()
     assert names == [f"rect_00{position}_3_r5000.png" for position in range(1, 7)]
-    for entry in results.values():
-        sfm = entry["methods"]["SfM"]["points"]["count"]
-        for name, record in entry["methods"].items():
+    for methods in measured.values():
+        sfm = methods["SfM"]["points"]["count"]
+        for name, record in methods.items():
             assert record["mesh"]["median"] < 0.1
             added = 0 if name == "SfM" else record["points"]["count"]
             assert record["all_points"]["count"] == sfm + added
-    assert "mean change of an error against Line3D++" in done.stdout
-    methods = results["DTU-006"]["methods"]
+    assert "mean change of an error against Line3D++" in printed
     change = methods["edges"]["mesh"]["mae"] / methods["Line3D++"]["mesh"]["mae"] - 1
-    rows = [r.split(" | ") for r in done.stdout.splitlines() if "average variation" in r]
+    rows = [r.split(" | ") for r in printed.splitlines() if "average variation" in r]
     assert [row[1] for row in rows[:3]] == ["SfM", "paper", "edges"]
     assert rows[2][7] == f"{100 * change:+.1f} %"
-    absent = f"Line3D++={tmp_path}/none_{{scene}}.txt"
+    absent = f"Line3D++={out}/none_{{scene}}.txt"
     done = run_script(*command, "--peers", absent, code=1)
     assert "no scene has a result of Line3D++" in done.stderr
 

@@ -5,12 +5,13 @@ their colours, and know cameras without distortion only.
 """
 
 import struct
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from scenes import EDGES_ALONE
 
-from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
 
@@ -67,7 +68,7 @@ def read_images(path):
 def model(scene_paths, tmp_path_factory):
     output = tmp_path_factory.mktemp("splatting") / "out"
     paths = Paths(image_path=scene_paths[0], input_path=scene_paths[1], output_path=output)
-    run("reconstruct", paths, PipelineOptions(report=False))
+    run("reconstruct", paths, replace(EDGES_ALONE, report=False))
     return output / "sparse"
 
 

@@ -30,6 +30,7 @@ from colmap_edges.surfaces.mesher import mesh
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
 GRAY = (120, 120, 120)
+PLAIN = PipelineOptions(use_faces=False, use_patches=False, report=False, num_threads=2)
 
 
 def picture(color=(255, 255, 255), body=GRAY, height=90, width=120):
@@ -177,21 +178,20 @@ def test_background_reaches_the_mesher(small, tmp_path):
     """The same with and without a cache, from folders and in Python; none when not wanted."""
     (tmp_path / "images").mkdir()
     scene = before_white(small, tmp_path / "images")
-    options = PipelineOptions(num_threads=2)
     meshes = []
     for cache in (None, tmp_path / "cache", tmp_path / "cache"):
         paths = replace(paths_of(scene, tmp_path, None), cache_path=cache)
-        report = run("mesh", paths, options, overwrite=True)
+        report = run("mesh", paths, PLAIN, overwrite=True)
         counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
         assert counts["background"]["background_rays"] > 1000
         meshes.append((tmp_path / "out" / "mesh.ply").read_bytes())
     assert meshes[0] == meshes[1] == meshes[2]
-    found = reconstruct(pycolmap.Reconstruction(str(scene[1])), scene[0], options)
+    found = reconstruct(pycolmap.Reconstruction(str(scene[1])), scene[0], PLAIN)
     assert len(found.background.rays.cameras) == counts["background"]["background_rays"]
-    others = {name: getattr(found, name) for name in ("background", "contours", "faces", "patches")}
+    others = {"background": found.background, "contours": found.contours}
     given = mesh(scene[1], found.edges, **others)
     assert len(given.faces) == counts["mesh"]["faces"]
-    unused = replace(options, meshing=replace(options.meshing, background_weight=0.0))
+    unused = replace(PLAIN, meshing=replace(PLAIN.meshing, background_weight=0.0))
     report = run("mesh", paths_of(scene, tmp_path, None), unused, overwrite=True)
     counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
     assert "background" not in counts
@@ -203,7 +203,7 @@ def test_masked_pixels_may_be_background(small, tmp_path):
     masks = write_masks(tmp_path / "masks", small[0], mask)
     counts = []
     for are_background in (True, False):
-        options = PipelineOptions(num_threads=2, masks_are_background=are_background)
+        options = replace(PLAIN, masks_are_background=are_background)
         report = run("mesh", paths_of(small, tmp_path, masks), options, overwrite=True)
         by_name = {stage["name"]: stage["counts"] for stage in report["stages"]}
         counts.append(by_name["background"]["background_rays"])
@@ -241,7 +241,7 @@ def test_a_backdrop_without_any_edge_is_meshed(small, tmp_path):
     for path in small[0].iterdir():
         cv2.imwrite(str(images / path.name), np.rint(255 - 0.5 * cloud).astype(np.uint8))
     paths = paths_of((images, small[1]), tmp_path, None)
-    report = run("mesh", paths, PipelineOptions(num_threads=2))
+    report = run("mesh", paths, PipelineOptions(num_threads=2, report=False))
     counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
     assert counts["detect"]["edge_pixels"] == counts["trace"]["edges"] == 0
     assert counts["mesh"]["faces"] > 500
@@ -259,7 +259,7 @@ def test_masks_without_visible_edges_are_reported(small, tmp_path, left, are_bac
     if left == "a blob":
         mask[80:100, 110:130] = 255
     masks = write_masks(tmp_path / "masks", small[0], mask)
-    options = PipelineOptions(num_threads=2, masks_are_background=are_background)
+    options = replace(PLAIN, masks_are_background=are_background)
     report = run("mesh", paths_of(small, tmp_path, masks), options)
     counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
     assert counts["trace"]["edges"] == 0

@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 import pytest
 from mask_files import BLACK_LEFT, paths_of, write_masks
+from scenes import EDGES_ALONE
 
 from colmap_edges.colmap.model import load_model
 from colmap_edges.core.arrays import offsets_of
@@ -174,13 +175,13 @@ def test_a_run_with_masks(small, tmp_path):
     """3D edges keep to what masks leave; results kept for later know the masks they are of."""
     masks = write_masks(tmp_path / "masks", small[0])
     reconstruction = pycolmap.Reconstruction(str(small[1]))
-    found = reconstruct(reconstruction, small[0], mask_path=masks)
+    found = reconstruct(reconstruction, small[0], EDGES_ALONE, mask_path=masks)
     assert found.edges.num_points
     assert found.edges.observations.pixels[:, 0].min() >= 120 - MARGIN_PX - CORNER_PX
 
     def points(mask_path):
         paths = replace(paths_of(small, tmp_path, mask_path), cache_path=tmp_path / "cache")
-        report = run("reconstruct", paths, PipelineOptions(), overwrite=True)
+        report = run("reconstruct", paths, replace(EDGES_ALONE, report=False), overwrite=True)
         counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
         return counts["trace"]["edge_points"], counts["detect"]["images_reused"]
 

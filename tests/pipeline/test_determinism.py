@@ -18,7 +18,7 @@ LOCALES = ["C", "POSIX", "C.UTF-8", "de_DE.UTF-8", "tr_TR.UTF-8", "fr_FR.ISO-885
 
 def mesh(folder, output, *flags, **environment):
     """Mesh the scene below `folder`, in an environment of its own in a process of its own."""
-    words = ["mesh", "--output_path", output, "--image_path", folder / "images"]
+    words = ["mesh", "--report", "0", "--output_path", output, "--image_path", folder / "images"]
     words = [str(word) for word in (*words, "--input_path", folder / "sparse", *flags)]
     if environment:  # which Python reads when it starts
         command = [sys.executable, "-m", "colmap_edges", *words]

@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 import pytest
 from mask_files import BLACK_LEFT, paths_of, write_masks
-from project import DEMO, run_script
+from project import DEMO, part_of_demo, run_script
 from scenes import EDGES_ALONE
 from scipy.spatial import cKDTree
 
@@ -28,14 +28,7 @@ CORNER_PX = 8  # by which chains are led on to their corners
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     """(images, model) of the demo seen by every third of its views."""
-    model = pycolmap.Reconstruction(str(DEMO / "sparse"))
-    names = sorted(image.name for image in model.images.values())
-    for image in list(model.images.values()):
-        if image.name not in names[::3]:
-            model.deregister_frame(image.frame_id)
-    folder = tmp_path_factory.mktemp("demo")
-    model.write(str(folder))
-    return DEMO / "images", folder
+    return DEMO / "images", part_of_demo(tmp_path_factory.mktemp("demo") / "sparse", 3)
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +94,7 @@ def test_meshes_by_both_methods(small, tmp_path, method, least):
         soft = cv2.GaussianBlur(lines, (0, 0), 1.5)
         cv2.imwrite(str(path), np.rint(200 * soft / soft.max()).astype(np.uint8))
     options = preset("paper") if method == "paper" else PipelineOptions()
+    options = replace(options, use_faces=False, use_patches=False, report=False)
     points = []
     for edge_path in (None, maps, maps):
         paths = paths_of(small, tmp_path, None)

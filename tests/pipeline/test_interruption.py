@@ -40,11 +40,17 @@ def in_shell(words):
 
 
 @pytest.fixture(scope="module")
-def undisturbed(mesh_command, tmp_path_factory):
+def flags(soak):
+    """Those of the runs that signals end: in the long version all stages."""
+    return ("--overwrite",) if soak else ("--overwrite", *PLAIN)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(mesh_command, flags, tmp_path_factory):
     """An output, another one without edges, and seconds from the start of work to the end."""
     folder = tmp_path_factory.mktemp("undisturbed")
     assert call_forked(mesh_command(folder / "plain", "--use_edges", 0)).returncode == 0
-    process = Forked(COMMAND, *mesh_command(folder / "edges"))
+    process = Forked(COMMAND, *mesh_command(folder / "edges", *flags))
     wait_for(folder / "edges", process)
     started = time.monotonic()
     process.communicate()
@@ -67,7 +73,9 @@ def wait_for(output, process):
         time.sleep(0.002)
 
 
-def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_output, soak, show):
+def test_signals_at_random_moments(
+    mesh_command, flags, undisturbed, tmp_path, hash_output, soak, show
+):
     whole, plain, seconds = undisturbed
     expected = hash_output(whole)
     earlier = hash_output(plain)
@@ -82,14 +90,14 @@ def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_out
         if seed % 2:
             shutil.copytree(plain, output)
         number = SIGNALS[seed // 2 % 4]
-        code = interrupt(mesh_command(output, "--overwrite"), output, number, rng, seconds)
+        code = interrupt(mesh_command(output, *flags), output, number, rng, seconds)
         found = hash_output(output) if output.exists() else None
         # The whole new output, or what was there before; a kill may leave that moved aside.
         assert found in (expected, earlier if seed % 2 else None, None)
         if number != signal.SIGKILL and code != 0:
             assert [path.name for path in folder.iterdir()] == ["out"] * (found is not None)
             assert found is not None or not seed % 2
-        assert call_forked(mesh_command(output, "--overwrite")).returncode == 0
+        assert call_forked(mesh_command(output, *flags)).returncode == 0
         assert hash_output(output) == expected
         assert [path.name for path in folder.iterdir()] == ["out"]
         ends.append((number.name, code))

@@ -127,7 +127,8 @@ def test_damaged_images_are_left_out_and_named(scene_paths, tmp_path, caplog):
     images, sparse = copy_scene(scene_paths, tmp_path)
     (images / "view_003.png").write_bytes(b"no picture")
     (images / "view_007.png").write_bytes(b"")
-    report = run("mesh", paths_of((images, sparse), tmp_path / "out"), PipelineOptions())
+    options = replace(scenes.EDGES_ALONE, report=False)
+    report = run("reconstruct", paths_of((images, sparse), tmp_path / "out"), options)
     assert report["stages"][1]["counts"]["damaged"] == ["view_003.png", "view_007.png"]
     assert "view_003.png, view_007.png" in report["findings"][0]["text"]
     assert [record.levelname for record in caplog.records] == ["WARNING", "WARNING"]

@@ -1,7 +1,6 @@
 """Copies of images in a model are no further witnesses, by whatever name they come."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pycolmap
@@ -84,7 +83,7 @@ def test_copies_move_with_their_originals(small, tmp_path):
 
 def test_a_copy_changes_nothing(small, tmp_path):
     reconstruction, _ = with_copy(small, tmp_path, "a_copy.png")
-    options = replace(PipelineOptions(num_threads=2), use_faces=False)
+    options = PipelineOptions(num_threads=2, use_faces=False, use_patches=False)
     found = reconstruct(reconstruction, tmp_path, options).edges
     expected = reconstruct(small[1], small[0], options).edges
     np.testing.assert_array_equal(found.points, expected.points)

@@ -3,6 +3,7 @@
 import numpy as np
 import pycolmap
 import pytest
+from scenes import EDGES_ALONE
 
 import colmap_edges
 from colmap_edges.colmap.model import model_from_reconstruction
@@ -12,8 +13,9 @@ from colmap_edges.errors import ColmapEdgesError
 @pytest.mark.pipeline
 def test_paths_and_objects_give_the_same_result(small):
     image_path, input_path = small
-    by_paths = colmap_edges.reconstruct(str(input_path), str(image_path))
-    by_objects = colmap_edges.reconstruct(pycolmap.Reconstruction(str(input_path)), image_path)
+    by_paths = colmap_edges.reconstruct(str(input_path), str(image_path), EDGES_ALONE)
+    given = pycolmap.Reconstruction(str(input_path))
+    by_objects = colmap_edges.reconstruct(given, image_path, EDGES_ALONE)
     assert by_paths.edges.num_edges > 0
     np.testing.assert_array_equal(by_paths.edges.points, by_objects.edges.points)
     assert by_paths.reconstruction.num_points3D() == by_objects.reconstruction.num_points3D()

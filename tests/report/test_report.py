@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from scenes import EDGES_ALONE
 
 from colmap_edges.colmap.model import load_model
 from colmap_edges.core.edges3d import Edges3D
@@ -533,6 +534,6 @@ def check_canvas(page, least=50):
 
 def test_no_report_when_not_wanted(evil_paths, tmp_path):
     paths = Paths(image_path=evil_paths[0], input_path=evil_paths[1], output_path=tmp_path / "out")
-    run("reconstruct", paths, PipelineOptions(report=False))
+    run("reconstruct", paths, dataclasses.replace(EDGES_ALONE, report=False))
     assert not (tmp_path / "out" / "report.html").exists()
     assert len(load_model(tmp_path / "out" / "sparse").views) == 10

@@ -86,9 +86,16 @@ def test_damaged_entries_are_not_found(tmp_path, caplog):
     assert cache.load("kind", "key", dict) is not None
 
 
-@pytest.mark.parametrize("head", [b'[["a", "|O", [2]]]', b'[["a", "<f8", [9]]]', b"[[", b"3"])
+HEADS = {
+    **{"objects": b'[["a", "|O", [2]]]', "too few bytes": b'[["a", "<f8", [9]]]'},
+    **{"no type": b'[["a", "(9,)f4,(", [1]]]', "no JSON": b"[[", "no list": b"3"},
+    "nested too deeply": b"[" * 200_000,
+}
+
+
+@pytest.mark.parametrize("head", HEADS.values(), ids=HEADS)
 def test_entries_of_other_content_are_not_found(tmp_path, head):
-    """Sealed, but with objects, too few bytes, or another head."""
+    """Sealed, but of objects, of too few bytes, or with another head."""
     data = len(head).to_bytes(8, "little") + bytes(8) + head.ljust(32) + bytes(range(16))
     cache = Cache(tmp_path / "cache")
     path = cache.path("kind", "key")

@@ -70,16 +70,16 @@ def test_edges_are_those_of_threads(cluster, small, reference, tmp_path, hash_ou
     assert counts["trace"]["edges_reused"] == counts["trace"]["edges"]
 
 
-@pytest.mark.parametrize("stage", ["detect", "trace"])
-def test_tasks_of_killed_workers_run_again(cluster, small, reference, tmp_path, hash_output, stage):
+def test_tasks_of_killed_workers_run_again(cluster, small, reference, tmp_path, hash_output):
+    """One worker is killed while edges are detected, the other while they are traced."""
     with distributed.Client(cluster, set_as_default=False) as client:
         client.wait_for_workers(2)
         pids = client.run(os.getpid)
-    victims = list(pids.values())[:1]
+    victims = dict(zip(("detect", "trace"), pids.values(), strict=True))
 
     def kill(name, done, _total):
-        if name == stage and done == 3 and victims:
-            os.kill(victims.pop(), signal.SIGKILL)
+        if name in victims and done == 3:
+            os.kill(victims.pop(name), signal.SIGKILL)
 
     output, _ = reconstruct(
         small,

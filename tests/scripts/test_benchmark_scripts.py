@@ -46,9 +46,10 @@ def test_missing_scene_is_an_error(tmp_path):
     assert done.stderr.strip().splitlines()[-1].startswith("error: ")
 
 
-def test_unknown_flag_is_an_error():
-    flags = ("--flags", "--no_such_flag 1")
-    done = run_script("benchmark.py", "run", "--synthetic", "4", "--runs", "1", *flags, code=1)
+def test_unknown_flag_is_an_error(small):
+    folder = small[0].parent
+    flags = ("--data_path", folder.parent, "--scene", folder.name, "--flags", "--no_such_flag 1")
+    done = run_script("benchmark.py", "run", "--runs", "1", *flags, code=1)
     assert "no_such_flag" in done.stderr
 
 

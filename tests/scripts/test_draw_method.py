@@ -1,9 +1,9 @@
-"""The figure of docs/method.md, drawn of the demo scene."""
+"""The figure of docs/method.md, drawn of every second view of the demo scene."""
 
 import cv2
 import numpy as np
 import pytest
-from project import ROOT, run_script
+from project import DEMO, part_of_demo, run_script
 
 pytestmark = pytest.mark.pipeline  # detection of the demo's edges
 
@@ -15,9 +15,8 @@ def near(picture, color):
 
 
 def test_every_panel_shows_the_chain_or_its_depths(tmp_path):
-    path = tmp_path / "depths.webp"
-    demo = ROOT / "tests/data/demo"
-    command = ("--image_path", demo / "images", "--input_path", demo / "sparse")
+    path, sparse = tmp_path / "depths.webp", part_of_demo(tmp_path / "sparse", 2)
+    command = ("--image_path", DEMO / "images", "--input_path", sparse)
     run_script("draw_method.py", *command, "--output_path", path)
     panels = np.array_split(cv2.imread(str(path)), 3, axis=1)
     assert all(near(panel, ORANGE) > 50 for panel in panels)

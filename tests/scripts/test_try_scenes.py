@@ -200,28 +200,25 @@ def test_a_version_is_taken_from_the_repository(tmp_path, monkeypatch):
 
 
 @pytest.mark.pipeline
-def test_small_scenes_of_the_zoo(tmp_path):
+def test_a_small_scene_of_the_zoo(tmp_path):
     pytest.importorskip("colmap_edges._mesher", reason="the CGAL mesher is not built")
     pytest.importorskip("manifold3d", reason="the scenes are made with manifold3d")
     from zoo.make import make_scene
 
     store = Store(path=tmp_path)
-    for seed in (2, 3):
-        make_scene("cad", seed, store.scene("cad", seed), **TINY)
-    common = ("--seeds", "2..3", "--families", "cad", "--output_path")
+    make_scene("cad", 2, store.scene("cad", 2), **TINY)
+    common = ("--seeds", "2..2", "--families", "cad", "--output_path")
     done = run_script("try_scenes.py", *common, tmp_path)
     table = (tmp_path / "summary.md").read_text()
     assert table in done.stdout
-    assert "| cad | 2 | 0 |" in table
-    drawn = sorted(tmp_path.glob("worst_*.png"))
-    assert len(drawn) == 2
-    assert cv2.imread(str(drawn[0])).shape == (180, 240, 3)
-    results = sorted(tmp_path.glob("results/*/*/*.json"))
-    assert len(results) == 2
+    assert "| cad | 1 | 0 |" in table
+    (drawn,) = tmp_path.glob("worst_*.png")
+    assert cv2.imread(str(drawn)).shape == (180, 240, 3)
+    (result,) = tmp_path.glob("results/*/*/*.json")
     shutil.rmtree(tmp_path / "runs")  # results are kept without
-    record = json.loads(results[0].read_text())
+    record = json.loads(result.read_text())
     record["meshes"]["patches"]["right_1_percent"] = 0.001
-    results[0].write_text(json.dumps(record))
+    result.write_text(json.dumps(record))
     done = run_script("try_scenes.py", *common, tmp_path, "--check", code=1)
     assert done.stdout.splitlines()[-1].startswith("Broken: ")
     assert "patches lose more than 0.01" in done.stdout.splitlines()[-1]

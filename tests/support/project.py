@@ -4,6 +4,7 @@ import os
 import subprocess
 from pathlib import Path
 
+import pycolmap
 from forked import call_forked
 
 import colmap_edges
@@ -11,6 +12,18 @@ import colmap_edges
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / "tests" / "data" / "demo"
 SCRIPTS = ROOT / "scripts"
+
+
+def part_of_demo(folder, step):
+    """Write the model of every n-th view of the demo into a new folder; give the folder."""
+    model = pycolmap.Reconstruction(str(DEMO / "sparse"))
+    names = sorted(image.name for image in model.images.values())[::step]
+    for image in list(model.images.values()):
+        if image.name not in names:
+            model.deregister_frame(image.frame_id)
+    folder.mkdir()
+    model.write(str(folder))
+    return folder
 
 
 def run_script(name, *arguments, code=0, **environment):

@@ -285,6 +285,8 @@ def test_rendered_scene_end_to_end(scene, scene_paths):
     options = PipelineOptions(
         tracing=TracingOptions(method="paper"),
         sampling=SamplingOptions(spacing_px=2.0),
+        use_faces=False,
+        use_patches=False,
         num_threads=2,
     )
     result = reconstruct(scene.reconstruction, scene_paths[0], options)
