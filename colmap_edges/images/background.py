@@ -88,6 +88,19 @@ NO_BACKGROUND_MASK = BackgroundMask(
 )
 
 
+class Backgrounds(NamedTuple):
+    """The background of all views.
+
+    Attributes:
+        masks: (V,) of their images; empty without one.
+        others: (V,) (h, w) pixels of small pictures whose colours are not those of the backdrop,
+            where these are known; else empty.
+    """
+
+    masks: Sequence[BackgroundMask] = ()
+    others: Sequence[BoolArray] = ()
+
+
 def plain_background(image: Picture) -> BackgroundMask:
     """The plain backdrop of an image (H, W, 3) uint8, if its border is plain."""
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])

@@ -13,7 +13,7 @@ from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.images.background import BackgroundMask
+from colmap_edges.images.background import Backgrounds
 from colmap_edges.images.taking import ImageTaker
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection, detect_stage
@@ -109,7 +109,7 @@ def find_edges(
     viewer.show_edges(traced.edges)
     curves = curve_stage(traced.edges, settings, stages)
     found = (model, traced.edges, detection, small, settings, stages)
-    background, hidden = background_or_sky(*found) if finds_open else (None, ())
+    background, hidden = background_or_sky(*found) if finds_open else (None, Backgrounds())
     faces, patches = NO_FACES, NO_PATCHES
     if grids and outlines:
         round_faces = round_stage(model, traced.edges, curves, outlines, settings, stages)
@@ -137,11 +137,11 @@ def background_or_sky(
     small: ImageTaker[Picture] | None,
     settings: PipelineOptions,
     stages: Stages,
-) -> tuple[Background | None, Sequence[BackgroundMask]]:
+) -> tuple[Background | None, Backgrounds]:
     """Find the background or, without one, the sky in small pictures; and where views show it."""
     if background := background_stage(model, detection, edges, settings, stages):
-        return background, detection.background_masks
-    return sky_stage(model, edges, small.taken, stages) if small else (None, ())
+        return background, Backgrounds(detection.background_masks)
+    return sky_stage(model, edges, small.taken, stages) if small else (None, Backgrounds())
 
 
 def curve_stage(edges: Edges3D, settings: PipelineOptions, stages: Stages) -> Curves3D:

@@ -15,7 +15,7 @@ from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.core.seen_points import joined_seen
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import TEXTURED, is_far_from_origin, write_mesh
-from colmap_edges.images.background import BackgroundMask
+from colmap_edges.images.background import Backgrounds
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
 from colmap_edges.pipeline.paths import Paths
@@ -67,16 +67,16 @@ def background_stage(
 
 def sky_stage(
     model: Model, edges: Edges3D, pictures: Mapping[int, Picture], stages: Stages
-) -> tuple[Background | None, Sequence[BackgroundMask]]:
+) -> tuple[Background | None, Backgrounds]:
     """Find the rays of the sky in small pictures of views, and its masks; none if few show it."""
     with stages.stage("sky") as stage:
-        background, masks = find_sky(model, edges, pictures) or (None, ())
+        background, shown = find_sky(model, edges, pictures) or (None, Backgrounds())
         stage.counts = {
             "images": len(pictures),
-            "images_with_sky": sum(mask.is_seen for mask in masks),
+            "images_with_sky": sum(mask.is_seen for mask in shown.masks),
             "sky_rays": len(background.rays.cameras) if background else 0,
         }
-    return background, masks
+    return background, shown
 
 
 def face_stage(
@@ -85,18 +85,21 @@ def face_stage(
     grids: Mapping[int, Grid],
     options: PipelineOptions,
     stages: Stages,
-    masks: Sequence[BackgroundMask],
+    hidden: Backgrounds,
     round_faces: FoundRound,
 ) -> Faces:
     """Find the planar faces between 3D edges, none before a background or through a round face.
 
-    `grids` are reduced images by view, `masks` the backgrounds of all views; empty without one.
+    `grids` are reduced images by view, `hidden` is the background of all views.
     """
     with stages.stage("faces") as stage:
+        masks, others = hidden
         bodies = spread_bodies(model.views, masks, edges.points).values() if masks else ()
-        seen = [v for v, mask in enumerate(masks) if mask.is_seen and v in grids]
-        shown = {v: with_background(model.views[v], grids[v], masks[v].body()) for v in seen}
-        shown = {**grids, **shown}
+        shown = dict(grids)
+        for v, mask in enumerate(masks):
+            if mask.is_seen and v in grids:
+                other = others[v] if others else None
+                shown[v] = with_background(model.views[v], grids[v], mask.body(), other)
         if round_faces.faces:
             views, points = model.views, round_faces.points.points
             shown = {v: with_bodies(views[v], grid, points) for v, grid in shown.items()}

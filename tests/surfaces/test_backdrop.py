@@ -71,7 +71,7 @@ def regions_of(views, colors, exposures=None, below=()):
 
 def all_shown(views, regions):
     """Whether all pixels of all regions, and no others, are a backdrop."""
-    shown = find_backdrop(views, regions)
+    shown = find_backdrop(views, regions).shown
     return all(np.array_equal(a, b >= 0) for a, b in zip(shown, regions.labels, strict=True))
 
 
@@ -108,7 +108,7 @@ def test_regions_that_disagree_are_left_out():
     views = orbit()
     regions = regions_of(views, gradient)
     regions.pictures[4][:, :40] = 60  # a plain curtain
-    shown = find_backdrop(views, regions)
+    shown = find_backdrop(views, regions).shown
     assert [of.any() for of in shown] == [index != 4 for index in range(VIEWS)]
 
 
@@ -126,7 +126,7 @@ def test_a_face_of_a_body_is_none_where_the_border_shows_something_else():
         labels[labels >= 0] += 1
     of_views = np.insert(regions.views, 5, 4)
     with_face = replace(regions, views=of_views, below=np.zeros(VIEWS + 1, bool))
-    shown = find_backdrop(views, with_face)
+    shown = find_backdrop(views, with_face).shown
     assert [of.any() for of in shown] == [index != 4 for index in range(VIEWS)]
 
 
@@ -136,7 +136,7 @@ def test_a_body_into_which_a_region_leaks_is_left_out():
     regions = regions_of(views, gradient)
     shade = regions.pictures[4][25:40, 55:65].astype(float) - np.arange(10)[None, :, None]
     regions.pictures[4][25:40, 55:65] = shade
-    shown = find_backdrop(views, regions)
+    shown = find_backdrop(views, regions).shown
     assert not shown[4][27:38, 60:64].any()
     assert shown[4][:, 70:].all() and shown[4][:20].all() and shown[5][27:38, 60:64].all()
 
@@ -149,10 +149,27 @@ def test_a_body_little_darker_than_a_noisy_backdrop_is_left_out():
         if index == 4:
             levels[:16, :20] -= 2.5
         picture[:] = np.rint(levels)
-    shown = find_backdrop(views, regions)
+    shown = find_backdrop(views, regions).shown
     assert not shown[4][:14, :18].any()
     assert shown[4][:, 60:].mean() > 0.99
     assert shown[5][:14, :18].mean() > 0.99
+
+
+def test_a_body_of_the_gray_of_the_backdrop_has_other_colours():
+    views = orbit()
+    regions = regions_of(views, gradient)
+    body = np.s_[24:40, 30:50]
+    for index, labels in enumerate(regions.labels):
+        labels[body] = -1
+        if index != 4:
+            regions.pictures[index][body] += np.array([12, 0, 0], np.uint8)
+    others = find_backdrop(views, regions).others
+    inner = np.s_[27:37, 33:47]
+    assert [of[inner].all() for of in others] == [index != 4 for index in range(VIEWS)]
+    assert not others[4].any()
+    outer = np.ones((HEIGHT, WIDTH), bool)
+    outer[21:43, 27:53] = False
+    assert not any(of[outer].any() for of in others)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.5])

@@ -97,7 +97,7 @@ def scene(views, points=None):
 def sky_of(model, pictures):
     """(V,) masks of the sky, or None."""
     found = find_sky(model, Edges3D.none(), dict(enumerate(pictures)))
-    return found and [~mask.body() if mask.is_seen else None for mask in found[1]]
+    return found and [~mask.body() if mask.is_seen else None for mask in found[1].masks]
 
 
 def rays_of_pixels(view):

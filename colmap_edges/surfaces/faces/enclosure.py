@@ -31,6 +31,8 @@ ENCLOSED_SHARE = 1 / 2
 MIN_BACKDROP = 0.35
 BACKDROP_LEVELS = 2  # maximum deviation of the backdrop from its most frequent gray
 MIN_SHOWN = 1 / 4  # minimum share of a cell that shows it
+# Maximum share of its gray that has other colours than a known backdrop's; beyond, colours decide.
+MAX_OTHERS = 1 / 4
 
 
 def are_enclosed(
@@ -74,7 +76,8 @@ def backdrops(grids: Sequence[Grid]) -> list[BoolArray]:
     """(V,) (rows, columns) whether cells show a backdrop: what most pictures' borders are of.
 
     Surfaces are rarely of one gray along the border of a picture, as a backdrop is. A sky may be,
-    too, but around fewer pictures and less of them.
+    too, but around fewer pictures and less of them. Where a ground has the gray of a backdrop whose
+    colours are known, these tell them apart.
     """
     borders = [np.concatenate([of[0], of[-1], of[:, 0], of[:, -1]]) for of in map(gray_of, grids)]
     window = np.ones(2 * BACKDROP_LEVELS + 1, np.int64)
@@ -82,11 +85,20 @@ def backdrops(grids: Sequence[Grid]) -> list[BoolArray]:
     shares = [of.max() / len(border) for of, border in zip(counts, borders, strict=True)]
     if np.median(shares) < MIN_BACKDROP:
         return [np.zeros(grid.shape, bool) for grid in grids]
+    alike = [
+        np.abs(gray_of(grid) - of.argmax()) <= BACKDROP_LEVELS
+        for grid, of in zip(grids, counts, strict=True)
+    ]
+    told = [
+        of if grid.others is None else of & ~grid.others
+        for grid, of in zip(grids, alike, strict=True)
+    ]
+    if sum(map(np.sum, told)) < (1 - MAX_OTHERS) * sum(map(np.sum, alike)):
+        alike = told
     found = []
-    for grid, of in zip(grids, counts, strict=True):
-        near = np.abs(gray_of(grid) - of.argmax()) <= BACKDROP_LEVELS
+    for grid, pixels in zip(grids, alike, strict=True):
         rows, columns = grid.shape
-        cells = near.reshape(rows, CELL_PX, columns, CELL_PX).mean(axis=(1, 3))
+        cells = pixels.reshape(rows, CELL_PX, columns, CELL_PX).mean(axis=(1, 3))
         found.append(np.asarray(cells >= MIN_SHOWN))
     return found
 

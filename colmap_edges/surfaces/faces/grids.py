@@ -39,6 +39,7 @@ class Grid:
         principal: (2,) its principal point, the corner of the picture is (0, 0).
         usable: (h, w) false where it is masked; None without a mask.
         background: (h, w) whether it shows the backdrop or the sky; None if it shows none.
+        others: (h, w) whether colours are not those of the backdrop; None if these are unknown.
         bodies: (rows, columns) float32 depths of the round bodies that cells show, NaN where there
             is none; None if there are none.
     """
@@ -48,6 +49,7 @@ class Grid:
     principal: FloatArray
     usable: BoolArray | None = None
     background: BoolArray | None = None
+    others: BoolArray | None = None
     bodies: Float32Array | None = None
 
     @property
@@ -106,6 +108,7 @@ def halved(grid: Grid) -> Grid:
         principal=grid.principal / 2,
         usable=whole(grid.usable),
         background=whole(grid.background),
+        others=whole(grid.others),
         bodies=bodies,
     )
 
@@ -167,16 +170,25 @@ def make_grid(
     return replace(blank, gray=gray, usable=usable_at(at, usable))
 
 
-def with_background(view: View, grid: Grid, body: BoolArray) -> Grid:
+def with_background(
+    view: View, grid: Grid, body: BoolArray, others: BoolArray | None = None
+) -> Grid:
     """The picture with the background of its view's image.
 
     Args:
         view: the view.
         grid: its picture.
         body: (H, W) foreground of the image, at its size or smaller; the rest is background.
+        others: (H, W) where colours are not those of the backdrop, likewise; None if unknown.
     """
-    shown = usable_at(places_of(view, grid), ~body)
-    return replace(grid, background=np.ones(grid.gray.shape, bool) if shown is None else shown)
+    at, everywhere = places_of(view, grid), np.ones(grid.gray.shape, bool)
+
+    def seen(pixels: BoolArray) -> BoolArray:
+        shown = usable_at(at, pixels)
+        return everywhere if shown is None else shown
+
+    known = None if others is None else seen(others)
+    return replace(grid, background=seen(~body), others=known)
 
 
 def with_bodies(view: View, grid: Grid, points: FloatArray) -> Grid:

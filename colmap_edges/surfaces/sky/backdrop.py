@@ -28,6 +28,7 @@ MIN_SHARE = 0.5
 # from one side only, may look the same from all places, too.
 MAX_MEAN_LENGTH = 0.8
 WINDOW = 5  # pixels along the side of the square over which the deviations of pixels are averaged
+OTHER_LEVELS = 6.0  # minimum of this deviation of what is no backdrop, with its sign
 # Maximum of the mean, in levels: 99 % of the pixels of true backdrops have at most 1, while 90 % of
 # those of a dark body before a dark backdrop have 2.2 or more.
 MAX_MEAN_DEVIATION = 1.5
@@ -45,8 +46,20 @@ class Colors(NamedTuple):
     factors: FloatArray
 
 
-def find_backdrop(views: Sequence[View], regions: Regions) -> list[BoolArray] | None:
-    """The pixels of a backdrop that nearly all views show; None if there is no such backdrop.
+class Backdrop(NamedTuple):
+    """A backdrop in the small pictures of V views.
+
+    Attributes:
+        shown: (V,) (h, w) pixels that show it.
+        others: (V,) (h, w) pixels of other colours.
+    """
+
+    shown: list[BoolArray]
+    others: list[BoolArray]
+
+
+def find_backdrop(views: Sequence[View], regions: Regions) -> Backdrop | None:
+    """The backdrop that nearly all views show; None if there is none.
 
     Colours are modelled by smooth functions of the direction and a factor of each view. A region
     goes on over a body where its outline is faint and no point is near; the body's pixels do not
@@ -55,9 +68,6 @@ def find_backdrop(views: Sequence[View], regions: Regions) -> list[BoolArray] | 
     Args:
         views: the V views.
         regions: R regions of them; those below structure are no backdrop.
-
-    Returns:
-        (h, w) pixels of the small picture of each view.
     """
     owners, directions, levels = samples(views, regions)
     if not len(owners):
@@ -66,10 +76,12 @@ def find_backdrop(views: Sequence[View], regions: Regions) -> list[BoolArray] | 
     chosen = agreeing_regions(views, regions, owners, directions, off)
     if not chosen.any():
         return None
-    return [
-        agreeing_pixels(view, regions.pictures[index], shown, colors, index)
-        for index, (view, shown) in enumerate(zip(views, regions.shown(chosen), strict=True))
-    ]
+    found = Backdrop([], [])
+    for index, (view, inside) in enumerate(zip(views, regions.shown(chosen), strict=True)):
+        picture = regions.pictures[index]
+        found.shown.append(agreeing_pixels(view, picture, inside, colors, index))
+        found.others.append(other_pixels(view, picture, colors, index))
+    return found
 
 
 def agreeing_regions(
@@ -112,6 +124,16 @@ def agreeing_pixels(
     counts = cv2.blur(inside.astype(np.float64), size)
     deviations = largest(sums.reshape(-1, 3)).reshape(inside.shape)
     return np.asarray(inside & (deviations <= MAX_MEAN_DEVIATION * counts))
+
+
+def other_pixels(view: View, picture: Picture, colors: Colors, index: int) -> BoolArray:
+    """(h, w) whether colours around the pixels of a view are others than the model's."""
+    if not np.isfinite(colors.factors[index]).all():
+        return np.zeros(picture.shape[:2], bool)
+    rays = rays_of(view, picture, np.arange(picture[..., 0].size))
+    model = np.exp(harmonics(rays) @ colors.coefficients + colors.factors[index])
+    off = np.nan_to_num(picture.reshape(-1, 3) - model).reshape(picture.shape)
+    return np.asarray((np.abs(cv2.blur(off, (WINDOW, WINDOW))) > OTHER_LEVELS).any(axis=2))
 
 
 def samples(views: Sequence[View], regions: Regions) -> tuple[IntArray, FloatArray, FloatArray]:

@@ -14,6 +14,7 @@ from colmap_edges.core.upright import up_directions
 from colmap_edges.images.background import (
     NO_BACKGROUND_MASK,
     BackgroundMask,
+    Backgrounds,
     background_rays,
     masked_background,
 )
@@ -38,7 +39,7 @@ MIN_VIEWS_SHARE = 1 / 4
 
 def find_sky(
     model: Model, edges: Edges3D, pictures: Mapping[int, Picture]
-) -> tuple[Background, list[BackgroundMask]] | None:
+) -> tuple[Background, Backgrounds] | None:
     """Find the sky, and haze or hills at infinity next to it; None if too few images show it.
 
     Args:
@@ -47,7 +48,7 @@ def find_sky(
         pictures: small pictures of the views by their index; views without one show nothing.
 
     Returns:
-        Its rays, and the sky of each view as a background mask.
+        Its rays, and the sky or the backdrop of each view.
     """
     num_views = len(model.views)
     points, track_offsets, track_views = points_and_views(model, edges)
@@ -57,7 +58,8 @@ def find_sky(
         regions = find_regions(model.views, pictures, points, observed, up)
         backdrop = find_backdrop(model.views, regions)
         if backdrop is not None:
-            return open_through(model, background_masks(backdrop))
+            masks = background_masks(backdrop.shown)
+            return open_through(model, Backgrounds(masks, backdrop.others))
         blue, white = looks_like_sky(model.views, regions, up)
         if len(np.unique(regions.views[blue])) >= max(MIN_VIEWS_SHARE * len(pictures), 2):
             break
@@ -73,15 +75,13 @@ def find_sky(
         return None
     is_sky &= ~are_contradicted(matches, is_sky)
     shown = regions.shown(spread(matches, regions, is_sky))
-    return open_through(model, background_masks(shown))
+    return open_through(model, Backgrounds(background_masks(shown)))
 
 
-def open_through(
-    model: Model, masks: list[BackgroundMask]
-) -> tuple[Background, list[BackgroundMask]] | None:
-    """The rays of the sky in masks of all views, and these; None without any ray."""
-    rays = background_rays(model.views, masks, True)
-    return None if rays is None else (Background(rays, NO_POINTS), masks)
+def open_through(model: Model, shown: Backgrounds) -> tuple[Background, Backgrounds] | None:
+    """The rays of what is shown in all views, and that; None without any ray."""
+    rays = background_rays(model.views, shown.masks, True)
+    return None if rays is None else (Background(rays, NO_POINTS), shown)
 
 
 def background_masks(shown: Sequence[BoolArray]) -> list[BackgroundMask]:

@@ -157,6 +157,17 @@ def test_a_backdrop_is_where_much_of_the_border_is_of_one_gray():
     assert not shown[21:, 26:49].any()
 
 
+@pytest.mark.parametrize(("width", "is_told"), [(40, False), (120, True)])
+def test_much_ground_of_the_gray_of_a_backdrop_is_told_by_its_colours(width, is_told):
+    """A little of other colours may be the mixed pixels of outlines."""
+    ground = np.zeros((240, 320), bool)
+    ground[:, :width] = True
+    picture = replace(picture_of(np.full((240, 320), 200)), others=ground)
+    shown = backdrops([picture])[0]
+    assert shown[:, width // 4 :].all()
+    assert shown[:, : width // 4].any() != is_told
+
+
 def test_walls_of_changing_gray_are_no_backdrop():
     rows, columns = np.mgrid[:240, :320]
     assert not backdrops([picture_of(90 + rows / 6 + columns / 4)])[0].any()
