@@ -18,14 +18,13 @@ from colmap_edges.core.arrays import (
     entries_of,
     medians_of,
     offsets_of,
-    order_of,
     owners_of,
     parts_of,
     ranks_of,
     row_numbers,
 )
 from colmap_edges.core.seen_points import SeenPoints
-from colmap_edges.core.view import View
+from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import CELL_PX, CLIPPED, Grid, cells_in
 from colmap_edges.surfaces.faces.hypotheses import Planes
@@ -122,10 +121,7 @@ def are_plain(
     samples: Samples, views: Sequence[View], grids: Sequence[Grid], evidence: Evidence
 ) -> BoolArray:
     """(S,) whether a place is `PLAIN_CELLS` or farther from all points that its view observes."""
-    own = samples.views[samples.offsets[:-1]]
-    sampled = parts_of(
-        order_of(own, len(views)), offsets_of(np.bincount(own, minlength=len(views)))
-    )
+    sampled = rows_by_view(samples.views[samples.offsets[:-1]], len(views))
     offsets, observed = observed_points(evidence.offsets, evidence.views, len(views))
     plain = np.zeros(len(samples.points), bool)
     for view, grid, rows, seen in zip(
@@ -153,15 +149,15 @@ def are_overexposed(
     """
     own = samples.views[samples.offsets[accepted]]
     clipped = grays_at(samples.points[accepted], own, views, grids) >= CLIPPED
-    white = accepted[clipped]
-    near = nearest_observed(samples.points[white], own[clipped], views, grids, evidence)
+    if clipped.mean() <= MAX_CLIPPED:
+        return False
+    white, seeing = accepted[clipped], own[clipped]
+    near = nearest_observed(samples.points[white], seeing, views, grids, evidence)
     normals, offsets = planes.normals[samples.planes[white]], planes.offsets[samples.planes[white]]
-    off = np.einsum("ij,ij->i", evidence.points[near], normals) - offsets
-    along = evidence.ray_sigmas[near] * np.einsum("ij,ij->i", evidence.rays[near], normals)
-    centers = np.array([view.center for view in views])[own[clipped]]
-    off *= np.sign(np.einsum("ij,ij->i", centers, normals) - offsets)
-    is_before = off > ON_TOLERANCE * np.hypot(evidence.sigmas[near], along)
-    return bool(np.sum(is_before) > MAX_CLIPPED * len(accepted))
+    centers = np.array([view.center for view in views])[seeing]
+    sides = np.sign(np.einsum("ij,ij->i", centers, normals) - offsets)
+    are_before = sides * evidence.deviations(near, normals, offsets) > ON_TOLERANCE
+    return bool(np.sum(are_before) > MAX_CLIPPED * len(accepted))
 
 
 def nearest_observed(
@@ -177,9 +173,7 @@ def nearest_observed(
     """
     near = np.zeros(len(places), np.int64)
     offsets, rows = observed_points(evidence.offsets, evidence.views, len(views))
-    sampled = parts_of(
-        order_of(seeing, len(views)), offsets_of(np.bincount(seeing, minlength=len(views)))
-    )
+    sampled = rows_by_view(seeing, len(views))
     for view, grid, own, seen in zip(views, grids, sampled, parts_of(rows, offsets), strict=True):
         if len(own) and len(seen):
             tree = cKDTree(grid.pixels_of(view, evidence.points[seen]))
@@ -230,9 +224,7 @@ def points_of_samples(
     owners, seeing = owners_of(offsets), samples.views[entries]
     gray = grays_at(samples.points[chosen][owners], seeing, views, grids)
     off = gray - medians_of(gray, owners, len(counts))[owners]
-    for rows in parts_of(
-        order_of(seeing, len(views)), offsets_of(np.bincount(seeing, minlength=len(views)))
-    ):
+    for rows in rows_by_view(seeing, len(views)):
         off[rows] -= np.median(off[rows]) if len(rows) else 0.0  # exposures differ
     order = np.lexsort((np.abs(off - medians_of(off, owners, len(counts))[owners]), owners))
     kept = -(-counts // EACH_VIEW)
@@ -245,10 +237,7 @@ def grays_at(
 ) -> FloatArray:
     """(N,) mean gray of the cell around each of (N, 3) points in the (N,) view that sees it."""
     gray = np.zeros(len(points))
-    rows_of = parts_of(
-        order_of(seeing, len(views)), offsets_of(np.bincount(seeing, minlength=len(views)))
-    )
-    for view, grid, rows in zip(views, grids, rows_of, strict=True):
+    for view, grid, rows in zip(views, grids, rows_by_view(seeing, len(views)), strict=True):
         means = cv2.blur(grid.gray.astype(np.float32), (CELL_PX, CELL_PX))
         last = np.array(means.shape[::-1]) - 1
         at = np.clip(np.floor(grid.pixels_of(view, points[rows])), 0, last).astype(np.int64)

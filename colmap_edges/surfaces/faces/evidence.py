@@ -48,6 +48,19 @@ class Evidence:
     offsets: IntArray
     views: Int32Array
 
+    def deviations(self, rows: IntArray, normals: FloatArray, offsets: FloatArray) -> FloatArray:
+        """(R,) signed distances of (R,) points from planes, in standard deviations.
+
+        Args:
+            rows: (R,) the points.
+            normals: (R, 3) unit normals of the planes.
+            offsets: (R,) their offsets, world units.
+        """
+        off = np.einsum("ij,ij->i", self.points[rows], normals) - offsets
+        across = np.einsum("ij,ij->i", self.rays[rows], normals)
+        sigmas = np.hypot(self.sigmas[rows], self.ray_sigmas[rows] * across)
+        return np.asarray(off / sigmas)
+
 
 def gather_evidence(model: Model, edges: Edges3D) -> Evidence:
     """What SfM points and edges say of surfaces."""

@@ -186,10 +186,7 @@ def only_touch(
     order = np.lexsort((points, rows))
     order = order[evidence.edge_ids[points[order]] >= 0]
     own, plane = points[order], rows[order]
-    away = np.einsum("ij,ij->i", evidence.points[own], planes.normals[plane])
-    away -= planes.offsets[plane]
-    across = np.einsum("ij,ij->i", evidence.rays[own], planes.normals[plane])
-    away /= np.hypot(evidence.sigmas[own], evidence.ray_sigmas[own] * across) * ON_TOLERANCE
+    away = evidence.deviations(own, planes.normals[plane], planes.offsets[plane]) / ON_TOLERANCE
     steps = np.column_stack([np.diff(own) - 1, np.diff(plane), np.diff(evidence.edge_ids[own])])
     is_first = np.concatenate([np.ones(min(len(own), 1), bool), steps.any(axis=1)])
     counts = np.diff([*np.flatnonzero(is_first), len(own)])

@@ -78,9 +78,9 @@ def find_backdrop(views: Sequence[View], regions: Regions) -> Backdrop | None:
         return None
     found = Backdrop([], [])
     for index, (view, inside) in enumerate(zip(views, regions.shown(chosen), strict=True)):
-        picture = regions.pictures[index]
-        found.shown.append(agreeing_pixels(view, picture, inside, colors, index))
-        found.others.append(other_pixels(view, picture, colors, index))
+        shown, others = compared_pixels(view, regions.pictures[index], inside, colors, index)
+        found.shown.append(shown)
+        found.others.append(others)
     return found
 
 
@@ -111,29 +111,24 @@ def agreeing_regions(
     return found & is_round & (agreeing >= MIN_SHARE * at_border)[regions.views]
 
 
-def agreeing_pixels(
+def compared_pixels(
     view: View, picture: Picture, inside: BoolArray, colors: Colors, index: int
-) -> BoolArray:
-    """The (h, w) pixels `inside` around which a view's colours agree with the model."""
-    pixels, size = np.flatnonzero(inside), (WINDOW, WINDOW)
-    rays = rays_of(view, picture, pixels)
+) -> tuple[BoolArray, BoolArray]:
+    """The pixels of a view around which colours agree with the model, and where they are others.
+
+    Returns:
+        (h, w) those `inside` that agree, and (h, w) all whose colours are others; none if the
+        view's factor is unknown.
+    """
+    rays, size = rays_of(view, picture, np.arange(inside.size)), (WINDOW, WINDOW)
     model = np.exp(harmonics(rays) @ colors.coefficients + colors.factors[index])
-    off = np.zeros((inside.size, 3))
-    off[pixels] = np.nan_to_num(picture.reshape(-1, 3)[pixels] - model, nan=255)
-    sums = cv2.blur(off.reshape(*inside.shape, 3), size)
+    off = picture - model.reshape(picture.shape)
+    sums = cv2.blur(np.where(inside[..., None], np.nan_to_num(off, nan=255), 0.0), size)
     counts = cv2.blur(inside.astype(np.float64), size)
     deviations = largest(sums.reshape(-1, 3)).reshape(inside.shape)
-    return np.asarray(inside & (deviations <= MAX_MEAN_DEVIATION * counts))
-
-
-def other_pixels(view: View, picture: Picture, colors: Colors, index: int) -> BoolArray:
-    """(h, w) whether colours around the pixels of a view are others than the model's."""
-    if not np.isfinite(colors.factors[index]).all():
-        return np.zeros(picture.shape[:2], bool)
-    rays = rays_of(view, picture, np.arange(picture[..., 0].size))
-    model = np.exp(harmonics(rays) @ colors.coefficients + colors.factors[index])
-    off = np.nan_to_num(picture.reshape(-1, 3) - model).reshape(picture.shape)
-    return np.asarray((np.abs(cv2.blur(off, (WINDOW, WINDOW))) > OTHER_LEVELS).any(axis=2))
+    agree = inside & (deviations <= MAX_MEAN_DEVIATION * counts)
+    means = largest(cv2.blur(np.nan_to_num(off), size).reshape(-1, 3)).reshape(inside.shape)
+    return np.asarray(agree), np.asarray(means > OTHER_LEVELS)
 
 
 def samples(views: Sequence[View], regions: Regions) -> tuple[IntArray, FloatArray, FloatArray]:
