@@ -28,7 +28,7 @@ LONGEST = (
         "scripts/test_make_scene.py",
     ),
     *("fuzzing/test_fuzzing.py", "pipeline/test_edge_path.py", "runtime/test_cache.py"),
-    *("surfaces/test_mesher.py", "surfaces/test_silhouettes.py", "colmap/test_plausibility.py"),
+    *("surfaces/test_mesher.py", "surfaces/test_bodies.py", "colmap/test_plausibility.py"),
     *("evaluation/test_benchmark.py", "core/test_distortion.py", "images/test_background.py"),
     *("poses/test_refine_poses.py", "scripts/test_try_scenes.py", "project/test_examples.py"),
     *(

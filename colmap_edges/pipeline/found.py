@@ -13,7 +13,7 @@ from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.images.background import Backgrounds
+from colmap_edges.images.background import BackgroundRays, Backgrounds
 from colmap_edges.images.taking import ImageTaker
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection, detect_stage
@@ -36,7 +36,6 @@ from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import make_grid
 from colmap_edges.surfaces.outlines2d import find_outlines
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches, picture_columns
-from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.sky.regions import small_picture
 
 
@@ -57,7 +56,7 @@ class Found:
     model: Model
     traced: TracedEdges
     curves: Curves3D
-    background: Background | None
+    background: BackgroundRays | None
     faces: Faces
     patches: Patches
     pictures: Sequence[ImagePicture]
@@ -137,7 +136,7 @@ def background_or_sky(
     small: ImageTaker[Picture] | None,
     settings: PipelineOptions,
     stages: Stages,
-) -> tuple[Background | None, Backgrounds]:
+) -> tuple[BackgroundRays | None, Backgrounds]:
     """Find the background or, without one, the sky in small pictures; and where views show it."""
     if background := background_stage(model, detection, edges, settings, stages):
         return background, Backgrounds(detection.background_masks)

@@ -15,12 +15,13 @@ from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.core.seen_points import joined_seen
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import TEXTURED, is_far_from_origin, write_mesh
-from colmap_edges.images.background import Backgrounds
+from colmap_edges.images.background import BackgroundRays, Backgrounds
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
+from colmap_edges.surfaces.bodies import find_background, spread_bodies
 from colmap_edges.surfaces.cylinders.finding import find_cylinders
 from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.extension import load_extension
@@ -33,7 +34,6 @@ from colmap_edges.surfaces.outlines2d import Outlines2D
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.revolution.finding import find_bodies
 from colmap_edges.surfaces.round_evidence import FoundRound
-from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 from colmap_edges.surfaces.sky.finding import find_sky
 from colmap_edges.texture.pictures import Images
 from colmap_edges.texture.texturing import textured
@@ -50,7 +50,7 @@ def check_mesher(options: PipelineOptions) -> None:
 
 def background_stage(
     model: Model, detection: Detection, edges: Edges3D, options: PipelineOptions, stages: Stages
-) -> Background | None:
+) -> BackgroundRays | None:
     """Find the background rays; None without a background."""
     masks, are_masks = detection.background_masks, options.masks_are_background
     if not any(mask.is_seen for mask in masks):
@@ -58,23 +58,20 @@ def background_stage(
     with stages.stage("background") as stage:
         background = find_background(model, masks, are_masks, edges)
         if background:
-            stage.counts = {
-                "background_rays": len(background.rays.cameras),
-                "silhouette_points": len(background.silhouettes.points),
-            }
+            stage.counts = {"background_rays": len(background.cameras)}
     return background
 
 
 def sky_stage(
     model: Model, edges: Edges3D, pictures: Mapping[int, Picture], stages: Stages
-) -> tuple[Background | None, Backgrounds]:
+) -> tuple[BackgroundRays | None, Backgrounds]:
     """Find the rays of the sky in small pictures of views, and its masks; none if few show it."""
     with stages.stage("sky") as stage:
         background, shown = find_sky(model, edges, pictures) or (None, Backgrounds())
         stage.counts = {
             "images": len(pictures),
             "images_with_sky": sum(mask.is_seen for mask in shown.masks),
-            "sky_rays": len(background.rays.cameras) if background else 0,
+            "sky_rays": len(background.cameras) if background else 0,
         }
     return background, shown
 
@@ -94,7 +91,7 @@ def face_stage(
     """
     with stages.stage("faces") as stage:
         masks, others = hidden
-        bodies = spread_bodies(model.views, masks, edges.points).values() if masks else ()
+        bodies = spread_bodies(model.views, masks, edges.points) if masks else ()
         shown = dict(grids)
         for v, mask in enumerate(masks):
             if mask.is_seen and v in grids:
@@ -104,7 +101,7 @@ def face_stage(
             views, points = model.views, round_faces.points.points
             shown = {v: with_bodies(views[v], grid, points) for v, grid in shown.items()}
         seed, threads = options.random_seed, thread_count(options)
-        faces = find_faces(model, edges, shown, seed, threads, list(bodies))
+        faces = find_faces(model, edges, shown, seed, threads, bodies)
         stage.counts = {
             "planes_tried": faces.num_planes,
             "cells": faces.num_cells,
@@ -153,7 +150,7 @@ def mesh_stage(
     extended: Model,
     options: PipelineOptions,
     stages: Stages,
-    background: Background | None = None,
+    background: BackgroundRays | None = None,
     faces: Faces = NO_FACES,
     patches: Patches = NO_PATCHES,
     cloud: DenseCloud | None = None,

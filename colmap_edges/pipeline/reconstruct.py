@@ -13,6 +13,7 @@ from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges2d.working_scale import at_working_scale
+from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.found import Found, find_edges
 from colmap_edges.pipeline.paths import Paths
@@ -23,7 +24,6 @@ from colmap_edges.runtime.executors import open_workers
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.patches.finding import Patches
-from colmap_edges.surfaces.silhouettes import Background
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class EdgeReconstruction:
     reconstruction: Any
     model: Model
     residuals_px: FloatArray
-    background: Background | None
+    background: BackgroundRays | None
     faces: Faces
     patches: Patches
     stages: list[dict[str, Any]]

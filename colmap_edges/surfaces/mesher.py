@@ -30,7 +30,6 @@ from colmap_edges.surfaces.patches.depths import Depths
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.patches.fitting import fitted
 from colmap_edges.surfaces.refinement import Measured, refined
-from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.simplify import simplify
 
 if TYPE_CHECKING:
@@ -66,7 +65,7 @@ def mesh(
     method: str | None = None,
     options: MeshingOptions | None = None,
     num_threads: int = 0,
-    background: Background | None = None,
+    background: BackgroundRays | None = None,
     contours: Edges3D | None = None,
     faces: Faces | None = None,
     patches: Patches | None = None,
@@ -83,7 +82,7 @@ def mesh(
         method: overrides `options.method`.
         options: meshing options; the defaults suit any model.
         num_threads: number of threads, 0 for all cores; does not affect the result.
-        background: background rays and silhouette points, as found by `reconstruct`.
+        background: background rays, as found by `reconstruct`.
         contours: view-dependent contours, as found by `reconstruct`; the mesh follows them, too.
         faces: planar faces between the edges, as found by `reconstruct`.
         patches: points where images have texture, as found by `reconstruct`.
@@ -116,13 +115,13 @@ def mesh_with_curves(
     edges_and_contours: tuple[Edges3D | None, Edges3D | None],
     options: MeshingOptions,
     num_threads: int,
-    background: Background | None = None,
+    background: BackgroundRays | None = None,
     faces: Faces = NO_FACES,
     patches: Patches = NO_PATCHES,
     refine: bool = True,
     cloud: DenseCloud | None = None,
 ) -> Mesh:
-    """Mesh points of a model, curves, silhouettes before a background, and faces.
+    """Mesh points of a model, of curves and of faces.
 
     Of patches those are added that the mesh without them lacks: where it is right, they would add
     their noise only. A cloud takes their place, and that of the model's points but where it is
@@ -144,8 +143,7 @@ def mesh_with_curves(
     curves = [of for of in (edges, contours) if of is not None]
     num_seen = len(model.points3D_xyz) + sum(each.num_points for each in curves)
     check_not_all_far(model, num_seen)
-    silhouettes = background.silhouettes if background and options.background_weight else NO_POINTS
-    others = joined_seen([silhouettes, faces.points, faces.round_points])
+    others = joined_seen([faces.points, faces.round_points])
     polylines = polylines_of(curves, len(model.points3D_xyz), edges.num_edges if edges else 0)
 
     def meshed(added: SeenPoints) -> Mesh:
@@ -155,7 +153,7 @@ def mesh_with_curves(
             options,
             polylines,
             num_threads,
-            background.rays if background else None,
+            background,
         )
 
     if cloud:
@@ -165,8 +163,7 @@ def mesh_with_curves(
         found, sigmas = mesh_with_patches(patches, model, *given)
     if refine:
         measured = Measured(model.views, Tracks.of_model(model), edges, contours, sigmas)
-        about = (len(silhouettes.points), model.views, patches.depths)
-        found = fitted_and_refined(found, measured, *about, num_threads)
+        found = fitted_and_refined(found, measured, model.views, patches.depths, num_threads)
     if cloud:
         found = with_cloud(found, cloud, rows, num_sfm, num_seen)
     return found
@@ -175,7 +172,6 @@ def mesh_with_curves(
 def fitted_and_refined(
     mesh: Mesh,
     measured: Measured,
-    num_silhouettes: int,
     views: Sequence[View],
     depths: Depths,
     num_threads: int,
@@ -183,9 +179,9 @@ def fitted_and_refined(
     """A mesh moved to the depths that patches measured, then refined within its noise."""
     threads = num_threads or os.cpu_count() or 1
     if len(depths.views):
-        information, _ = measured.of_vertices(mesh, num_silhouettes)
+        information, _ = measured.of_vertices(mesh)
         mesh = fitted(mesh, information, views, depths, threads)
-    return refined(mesh, measured, num_silhouettes, threads)
+    return refined(mesh, measured, threads)
 
 
 def check_not_all_far(model: Model, num_seen: int) -> None:

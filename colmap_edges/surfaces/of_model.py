@@ -10,9 +10,9 @@ import numpy as np
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images.background import BackgroundRays
 from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.patches.finding import Patches
-from colmap_edges.surfaces.silhouettes import Background
 
 if TYPE_CHECKING:
     from colmap_edges.colmap.model import Model
@@ -25,7 +25,7 @@ MAX_MISS = 0.01
 def check_of_model(
     model: Model,
     curves: Mapping[str, Edges3D | None],
-    background: Background | None,
+    background: BackgroundRays | None,
     faces: Faces | None,
     patches: Patches | None,
 ) -> None:

@@ -54,12 +54,12 @@ class Measured:
         parts.append(isotropic(1 / patch_sigmas**2))
         self.information = np.concatenate([*parts, np.zeros((0, 6))])
 
-    def of_vertices(self, mesh: Mesh, num_silhouettes: int) -> tuple[FloatArray, BoolArray]:
+    def of_vertices(self, mesh: Mesh) -> tuple[FloatArray, BoolArray]:
         """(V, 6) information of the vertices of a mesh of point indices, (V,) which hold-outs are.
 
         Vertices without a measurement have that of the next measured vertex: those added by the
-        mesher and those of silhouettes, which come after the measured points, with its deviation,
-        those of faces with `FACE_SIGMA` times its deviation.
+        mesher with its deviation, those of faces, which come after the measured points, with
+        `FACE_SIGMA` times its deviation.
         """
         sources, last = mesh.point3D_ids, len(self.information)
         information = np.zeros((len(sources), 6))
@@ -70,24 +70,23 @@ class Measured:
             return information, measured
         nearest = cKDTree(mesh.vertices[measured]).query(mesh.vertices[~measured])[1]
         means = mean_of(information[measured])[nearest]
-        means[sources[~measured] >= last + num_silhouettes] /= FACE_SIGMA**2
+        means[sources[~measured] >= last] /= FACE_SIGMA**2
         information[~measured] = isotropic(means)
         return information, measured & (sources < self.num_certain)
 
 
-def refined(mesh: Mesh, measured: Measured, num_silhouettes: int, num_threads: int) -> Mesh:
+def refined(mesh: Mesh, measured: Measured, num_threads: int) -> Mesh:
     """A mesh with smooth faces between edges and well-shaped triangles, within its noise.
 
     Args:
         mesh: a mesh whose `point3D_ids` are indices of points.
         measured: the information of these points.
-        num_silhouettes: number of points of silhouettes.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
         The refined mesh; the given one if none of its vertices was measured.
     """
-    information, certain = measured.of_vertices(mesh, num_silhouettes)
+    information, certain = measured.of_vertices(mesh)
     if not information.any():
         return mesh
     return shaped(smoothed(mesh, information, certain, num_threads), information, num_threads)

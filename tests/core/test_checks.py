@@ -11,7 +11,7 @@ import pytest
 
 import colmap_edges
 from colmap_edges import ColmapEdgesError, Curves3D, Edges3D, Mesh, fit_curves, mesh, read_edges
-from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.export.dxf import write_dxf
 from colmap_edges.export.edges import write_obj
 from colmap_edges.export.edges_json import write_json
@@ -22,7 +22,6 @@ from colmap_edges.export.svg import write_svg
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.surfaces.faces.finding import NO_FACES
 from colmap_edges.surfaces.faces.outlines import Face
-from colmap_edges.surfaces.silhouettes import Background
 
 NOT_DATA = (None, 5, "x", [], {}, np.zeros((3, 3)), object, True)
 NOT_PATHS = (None, 5, b"x", [], "", "a\0b", "\ud800", "x" * 5000, Path("a\0"), np.zeros(2))
@@ -248,13 +247,13 @@ def test_edges_of_another_model_are_refused(scene, scene_model, scene_edges):
 def test_background_and_faces_of_another_model_are_refused(scene_model):
     one = np.zeros(1, np.int32)
     for rays, message in (
-        (BackgroundRays(one + 99, np.ones((1, 3))), "background.rays.cameras holds view 99"),
+        (BackgroundRays(one + 99, np.ones((1, 3))), "background.cameras holds view 99"),
         (BackgroundRays(one, np.zeros((1, 3))), "a direction of length 0"),
-        (BackgroundRays(one, np.full((1, 3), np.nan)), "background.rays.directions"),
-        (None, "background.rays is of type NoneType"),
+        (BackgroundRays(one, np.full((1, 3), np.nan)), "background.directions"),
+        (BackgroundRays(one, None), "background.directions"),
     ):
         with pytest.raises(ColmapEdgesError, match=message):
-            mesh(scene_model, background=Background(rays, NO_POINTS))
+            mesh(scene_model, background=rays)
     corners, views = np.eye(3), np.zeros(1, np.int64)
     face = Face(
         normal=corners[2], offset=0.0, area=1.0, outline=corners, holes=(), views=views, plane=0

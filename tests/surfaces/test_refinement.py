@@ -331,28 +331,28 @@ def measured_mesh(height, sigma, seed=0):
 
 def test_smoothness_is_learned_from_the_scene():
     _, flat, measured = measured_mesh(lambda x, y: 0.1 * x, 0.05)
-    smooth = refinement.refined(flat, measured, 0, 1)
+    smooth = refinement.refined(flat, measured, 1)
     assert smooth.stats["smooth_angle_rad"] == 0.1
     off = [np.abs(of.vertices[:, 2] - 0.1 * of.vertices[:, 0]).mean() for of in (flat, smooth)]
     assert off[1] < 0.6 * off[0]
 
     # Flat folds of 5 degrees, of which the points are certain.
     _, rough, measured = measured_mesh(lambda x, y: 0.04 * np.abs(x % 8 - 4), 1e-3)
-    kept = refinement.refined(rough, measured, 0, 1)
+    kept = refinement.refined(rough, measured, 1)
     assert kept.stats["smooth_angle_rad"] == 0.02
     assert np.abs(kept.vertices - rough.vertices).max() <= 8e-3
 
 
 def test_the_result_does_not_depend_on_threads():
     _, mesh, measured = measured_mesh(lambda x, y: np.sin(x / 5), 0.05)
-    one, many = (refinement.refined(mesh, measured, 0, threads) for threads in (1, 5))
+    one, many = (refinement.refined(mesh, measured, threads) for threads in (1, 5))
     np.testing.assert_array_equal(one.vertices, many.vertices)
 
 
 def test_few_points_tell_nothing():
     _, mesh, measured = measured_mesh(lambda x, y: 0 * x, 0.05)
     measured.num_certain = 100
-    refined = refinement.refined(mesh, measured, 0, 1)
+    refined = refinement.refined(mesh, measured, 1)
     np.testing.assert_array_equal(refined.vertices, mesh.vertices)
     assert "smooth_angle_rad" not in refined.stats
 
@@ -362,7 +362,7 @@ def test_points_without_measurement_take_that_next_to_them():
     measured.information = measured.information[:-1] * np.arange(1, 1600)[:, None]
     ids = mesh.point3D_ids.copy()
     ids[5] = -1
-    information, certain = measured.of_vertices(replace(mesh, point3D_ids=ids), 0)
+    information, certain = measured.of_vertices(replace(mesh, point3D_ids=ids))
     assert not certain[5] and not certain[-1] and certain[:5].all()
     assert information[5, 0] in measured.information[[4, 6, 45, 44, 46], 0]
     near = 100 * measured.information[[-1, -40, -41], 0]

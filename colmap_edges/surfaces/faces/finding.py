@@ -15,6 +15,7 @@ from colmap_edges.core.checks import check_arrays, check_values
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.errors import check_type
+from colmap_edges.surfaces.bodies import Body, within
 from colmap_edges.surfaces.faces.decision import (
     MIN_PLAIN,
     Samples,
@@ -47,7 +48,6 @@ from colmap_edges.surfaces.faces.labelling import (
 )
 from colmap_edges.surfaces.faces.outlines import Face, outline_faces
 from colmap_edges.surfaces.round_face import RoundFace
-from colmap_edges.surfaces.silhouettes import Body, within
 
 NUM_ROUNDS = 2  # rounds of labelling: first without, then with agreement between views
 

@@ -9,11 +9,11 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, Picture, parts_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.seen_points import NO_POINTS
 from colmap_edges.core.upright import up_directions
 from colmap_edges.images.background import (
     NO_BACKGROUND_MASK,
     BackgroundMask,
+    BackgroundRays,
     Backgrounds,
     background_rays,
     masked_background,
@@ -21,7 +21,6 @@ from colmap_edges.images.background import (
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import points_and_views
 from colmap_edges.surfaces.faces.labelling import NUM_NEIGHBORS, observed_points
-from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.sky.backdrop import find_backdrop
 from colmap_edges.surfaces.sky.colours import looks_like_sky
 from colmap_edges.surfaces.sky.infinity import (
@@ -39,7 +38,7 @@ MIN_VIEWS_SHARE = 1 / 4
 
 def find_sky(
     model: Model, edges: Edges3D, pictures: Mapping[int, Picture]
-) -> tuple[Background, Backgrounds] | None:
+) -> tuple[BackgroundRays, Backgrounds] | None:
     """Find the sky, and haze or hills at infinity next to it; None if too few images show it.
 
     Args:
@@ -78,10 +77,10 @@ def find_sky(
     return open_through(model, Backgrounds(background_masks(shown)))
 
 
-def open_through(model: Model, shown: Backgrounds) -> tuple[Background, Backgrounds] | None:
+def open_through(model: Model, shown: Backgrounds) -> tuple[BackgroundRays, Backgrounds] | None:
     """The rays of what is shown in all views, and that; None without any ray."""
     rays = background_rays(model.views, shown.masks, True)
-    return None if rays is None else (Background(rays, NO_POINTS), shown)
+    return None if rays is None else (rays, shown)
 
 
 def background_masks(shown: Sequence[BoolArray]) -> list[BackgroundMask]:

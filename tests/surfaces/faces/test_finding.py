@@ -9,17 +9,16 @@ from curves import model_of
 from plain_rooms import DOOR, distance_to_room, render, room_edges, room_views
 
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.seen_points import NO_POINTS
 from colmap_edges.export.faces import write_faces
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
+from colmap_edges.surfaces.bodies import Body
 from colmap_edges.surfaces.faces.evidence import gather_evidence
 from colmap_edges.surfaces.faces.finding import NO_FACES, find_faces, label_scene
 from colmap_edges.surfaces.faces.grids import cells_in, make_grid
 from colmap_edges.surfaces.faces.hypotheses import find_planes
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights, split_by_view
 from colmap_edges.surfaces.mesher import mesh_with_curves
-from colmap_edges.surfaces.silhouettes import Background, Body
 
 
 @pytest.fixture(scope="module")
@@ -135,8 +134,7 @@ def test_a_mesh_follows_points_on_faces(room):
 
 
 def test_a_mesh_follows_points_on_faces_before_a_background_too(room):
-    rays = BackgroundRays(np.zeros(1, np.int32), room.model.views[0].rotation[2:])
-    background = Background(rays=rays, silhouettes=NO_POINTS)
+    background = BackgroundRays(np.zeros(1, np.int32), room.model.views[0].rotation[2:])
     without = meshed(room, NO_FACES, background)
     given = meshed(room, room.faces, background)
     assert len(given.vertices) > len(without.vertices) + 300
