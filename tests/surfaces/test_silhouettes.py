@@ -66,8 +66,14 @@ def ball():
     return [masked(view, hits_ball(np.zeros(3))) for view in views_around()]
 
 
-def test_points_lie_on_a_ball_and_are_seen_from_outside(ball):
-    found = silhouette_points({3 * i: body for i, body in enumerate(ball)}, CORNERS)
+@pytest.fixture(scope="module")
+def on_silhouettes(ball):
+    """Points on the ball's silhouettes; its views are every third of a model's."""
+    return silhouette_points({3 * i: body for i, body in enumerate(ball)}, CORNERS)
+
+
+def test_points_lie_on_a_ball_and_are_seen_from_outside(ball, on_silhouettes):
+    found = on_silhouettes
     assert len(found.points) > 1000
     error = np.linalg.norm(found.points, axis=1) - RADIUS
     pixel = 4.0 / ball[0].view.focal_px
@@ -83,10 +89,10 @@ def test_points_lie_on_a_ball_and_are_seen_from_outside(ball):
     assert (cosines > 0.45 * np.linalg.norm(away, axis=1) * RADIUS).all()
 
 
-def test_points_make_the_mesh_of_a_ball(ball):
+def test_points_make_the_mesh_of_a_ball(ball, on_silhouettes):
     """Two points known of it, and its silhouettes, are enough."""
     views = [body.view for body in ball]
-    found = silhouette_points(dict(enumerate(ball)), CORNERS)
+    found = on_silhouettes._replace(track_views=on_silhouettes.track_views // 3)
     rays = background_rays(views, [masked_background(body.mask) for body in ball], True)
     centers = np.array([view.center for view in views])
     mesh = meshing.mesh_points(*found, centers, MeshingOptions(), background=rays)
@@ -162,7 +168,7 @@ def test_lenses_bend_silhouettes():
     camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 600.0, 640, 480)
     camera.params = [600.0, 320.0, 240.0, -0.2]
     views = []
-    for view in views_around():
+    for view in views_around(30):
         fields = {**vars(view), "camera": camera}
         views.append(type(view)(**{name: fields[name] for name in view.__dataclass_fields__}))
     bodies = [masked(view, hits_ball(np.array([0.3, 0.2, 0.1]))) for view in views]
