@@ -53,7 +53,7 @@ def length(edges):
 
 
 def along(points, segments):
-    """Points on the segments, which are a few centimetres long, millimetres apart."""
+    """Points on the segments; true ones are at most a centimetre long."""
     first, last = points[segments].swapaxes(0, 1)
     steps = np.linspace(0, 1, 10)[:, None, None]
     return (first + steps * (last - first)).reshape(-1, 3)
