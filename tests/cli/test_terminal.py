@@ -65,8 +65,10 @@ def usual(small, tmp_path_factory):
     return output
 
 
-@pytest.mark.parametrize("closed", ["2>&-", ">&-", "<&-", "<&- >&- 2>&-", "2>&- >/dev/null"])
-def test_closed_streams_do_no_harm(small, tmp_path, closed, hash_output, usual):
+@pytest.mark.parametrize("closed", ["2>&-", ">&-", "<&- >&- 2>&-", "<&-", "2>&- >/dev/null"])
+def test_closed_streams_do_no_harm(small, tmp_path, closed, hash_output, usual, soak):
+    if closed in ("<&-", "2>&- >/dev/null") and not soak:
+        pytest.skip("in the long version: they are closed together with others above")
     run = shlex.join(command(small, tmp_path / "out", *FAST[2:], *PLAIN))
     done = subprocess.run(["sh", "-c", f"{run} {closed}"], capture_output=True, timeout=120)
     assert done.returncode == 0
@@ -269,16 +271,23 @@ def test_undecodable_paths_work(small, tmp_path, hash_output, usual):
     assert wrong.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["a\nb.jpg", "a b.jpg", "a.jpg\t", "\vx.jpg"])
+INVALID_IN_TEXT = ("a\nb.jpg", "a b.jpg", "a.jpg\t", "\vx.jpg")
+
+
+@pytest.mark.parametrize("name", INVALID_IN_TEXT)
 def test_names_invalid_in_text_models(small, tmp_path, name):
     scene = renamed(small, tmp_path / "in", [name])
     done = call(scene, tmp_path / "out", "--output_type", "TXT")  # refused before all work
     assert done.returncode == 1
     assert f"image name {name!r} has a space or line break" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_names_invalid_in_text_models_are_valid_in_binary_ones(small, tmp_path):
+    scene = renamed(small, tmp_path / "in", INVALID_IN_TEXT)
     assert call(scene, tmp_path / "out", *FAST[2:], *PLAIN).returncode == 0
     names = {view.name for view in load_model(tmp_path / "out" / "sparse").views}
-    assert name in names
+    assert set(INVALID_IN_TEXT) <= names
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ sys.meta_path.insert(0, Watch())
 """
 COMPRESS = """
 import io, numpy as np
-for seed in range(20):
+for seed in range(4):
     data = io.BytesIO()
     np.savez_compressed(data, a=np.random.default_rng(seed).bytes(1_000_000))
 """

@@ -16,7 +16,7 @@ from colmap_edges.colmap.model import model_from_reconstruction
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
-NUM_VIEWS = 11  # of the low arc
+NUM_VIEWS = 8  # of the low arc
 WIDTH, HEIGHT = 512, 384
 DEPTH_PX = 50.0  # pixels off to the side that weigh as much as a depth e times as large
 # Parameters after focal length(s) and principal point, and the focal length in parts of the

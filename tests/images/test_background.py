@@ -30,7 +30,9 @@ from colmap_edges.surfaces.mesher import mesh
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
 GRAY = (120, 120, 120)
-PLAIN = PipelineOptions(use_faces=False, use_patches=False, report=False, num_threads=2)
+PLAIN = PipelineOptions(
+    use_faces=False, use_patches=False, refine_poses=False, report=False, num_threads=2
+)
 
 
 def picture(color=(255, 255, 255), body=GRAY, height=90, width=120):

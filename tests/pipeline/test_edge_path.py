@@ -20,7 +20,7 @@ from colmap_edges.pipeline.run import run
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
-NOT_ENLARGED = replace(EDGES_ALONE, detection=DetectionOptions(min_blur_px=0))
+NOT_ENLARGED = replace(EDGES_ALONE, refine_poses=False, detection=DetectionOptions(min_blur_px=0))
 CANNY = ("--detector", "canny")
 CORNER_PX = 8  # by which chains are led on to their corners
 
@@ -53,9 +53,9 @@ def length(edges):
 
 
 def along(points, segments):
-    """Points close to each other on the segments."""
+    """Points on the segments; true ones are at most a centimetre long."""
     first, last = points[segments].swapaxes(0, 1)
-    steps = np.linspace(0, 1, 40)[:, None, None]
+    steps = np.linspace(0, 1, 10)[:, None, None]
     return (first + steps * (last - first)).reshape(-1, 3)
 
 

@@ -180,11 +180,11 @@ def test_up_stays_up_through_a_loop_of_the_mouse(shown):
     shown.evaluate("view.reset()")
     x, y, width, height = scene_box(shown)
     before = shown.evaluate(SCREEN_UP)
-    turns = np.linspace(0, 2 * np.pi, 40)
+    turns = np.linspace(0, 2 * np.pi, 25)
     center, radius = np.array([x + width / 2, y + height / 2]), 0.35 * min(width, height)
     loop = center + radius * np.column_stack([np.cos(turns), np.sin(turns)])
     eye = shown.evaluate("view.camera.position.toArray()")
-    shown.drag(*loop[:15].tolist())
+    shown.drag(*loop[:9].tolist())
     assert np.linalg.norm(np.subtract(shown.evaluate("view.camera.position.toArray()"), eye)) > 0.1
     shown.evaluate("view.reset()")
     shown.drag(*loop.tolist())

@@ -45,6 +45,19 @@ def trace(scene, output, cache=None, command="reconstruct", **options):
     return output, {stage["name"]: stage["counts"] for stage in report["stages"]}
 
 
+@pytest.fixture
+def filled(filled_once, tmp_path):
+    """A cache with all entries of the small scene, which may be changed."""
+    return shutil.copytree(filled_once, tmp_path / "cache")
+
+
+@pytest.fixture(scope="module")
+def filled_once(small, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("filled")
+    trace(small, folder / "out", folder / "cache")
+    return folder / "cache"
+
+
 def reused(counts):
     """Images and edges that were found in the cache."""
     return counts["detect"]["images_reused"], counts["trace"]["edges_reused"]
@@ -256,19 +269,17 @@ def test_damaged_images_are_left_out_again(small, tmp_path, hash_output):
         assert hash_output(output) == hash_output(plain)
 
 
-def test_damaged_entries_are_made_again(small, reference, tmp_path, hash_output):
-    cache = tmp_path / "cache"
-    trace(small, tmp_path / "out", cache)
-    entries = sorted(cache.rglob("*.entry"))
+def test_damaged_entries_are_made_again(small, reference, filled, tmp_path, hash_output):
+    entries = sorted(filled.rglob("*.entry"))
     assert len(entries) == 7
     sizes = [path.stat().st_size for path in entries]
     for path in entries[::2]:
         path.write_bytes(path.read_bytes()[:-100])
-    output, counts = trace(small, tmp_path / "out", cache)
+    output, counts = trace(small, tmp_path / "out", filled)
     assert hash_output(output) == hash_output(reference)
     assert reused(counts)[0] < 6
     assert [path.stat().st_size for path in entries] == sizes
-    assert reused(trace(small, tmp_path / "out", cache)[1]) == (6, counts["trace"]["edges"])
+    assert reused(trace(small, tmp_path / "out", filled)[1]) == (6, counts["trace"]["edges"])
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(
@@ -337,48 +348,49 @@ def test_report_counts_reused_results(small, tmp_path):
     assert report["paths"]["cache_path"] == str(tmp_path / "cache")
 
 
-def forged(cache, kind, change):
-    """Seal all entries of a kind again after a change of their arrays."""
-    for path in sorted((cache / kind).rglob("*.entry")):
-        arrays = dict(unpacked(bytearray(path.read_bytes()[32:])))
-        arrays |= change(arrays)
-        data = packed({name: array for name, array in arrays.items() if array is not None})
-        path.write_bytes(seal(kind, path.stem, data) + data)
+def forged(path, kind, change):
+    """Seal an entry again after a change of its arrays."""
+    arrays = dict(unpacked(bytearray(path.read_bytes()[32:])))
+    arrays |= change(arrays)
+    data = packed({name: array for name, array in arrays.items() if array is not None})
+    path.write_bytes(seal(kind, path.stem, data) + data)
 
 
-FORGED = {
-    "missing": ("edge_graphs", lambda a: {"points": None}),
-    "of another type": ("edge_graphs", lambda a: {"points": a["points"].astype(float)}),
-    "of another shape": ("edge_graphs", lambda a: {"normals": a["normals"][:, :1].copy()}),
-    "shorter": ("edge_graphs", lambda a: {"colors": a["colors"][1:]}),
-    "outside of the image": ("edge_graphs", lambda a: {"points": a["points"] + np.float32(900)}),
-    "offset out of range": (
-        "edge_graphs",
-        lambda a: {"polyline_offsets": a["polyline_offsets"] + 10**6},
-    ),
-    "moved": ("edges", lambda a: {"edges.points": a["edges.points"] + 1}),
-    "view out of range": (
-        "edges",
-        lambda a: {"edges.observations.views": a["edges.observations.views"] + np.int32(99)},
-    ),
-    "counts of another kind": ("edges", lambda a: {"details": np.array("[]")}),
+FORGED_GRAPHS = {
+    "missing": lambda a: {"points": None},
+    "of another type": lambda a: {"points": a["points"].astype(float)},
+    "of another shape": lambda a: {"normals": a["normals"][:, :1].copy()},
+    "shorter": lambda a: {"colors": a["colors"][1:]},
+    "outside of the image": lambda a: {"points": a["points"] + np.float32(900)},
+    "offset out of range": lambda a: {"polyline_offsets": a["polyline_offsets"] + 10**6},
+}
+VIEWS = "edges.observations.views"
+FORGED_EDGES = {
+    "moved": lambda a: {"edges.points": a["edges.points"] + 1},
+    "view out of range": lambda a: {VIEWS: a[VIEWS] + np.int32(99)},
+    "counts of another kind": lambda a: {"details": np.array("[]")},
 }
 
 
-def test_forged_entries_are_made_again(small, reference, tmp_path, hash_output, caplog):
-    """Sealed like entries, but no result of a run."""
-    trace(small, tmp_path / "out", tmp_path / "cache")
-    for name, (kind, change) in FORGED.items():
-        cache = tmp_path / name
-        shutil.copytree(tmp_path / "cache", cache)
-        forged(cache, kind, change)
-        if kind == "edge_graphs":
-            shutil.rmtree(cache / "edges")
+def test_forged_entries_are_made_again(small, reference, filled, tmp_path, hash_output, caplog):
+    """Sealed like entries, but no result of a run: of each image in another way."""
+    entries = sorted((filled / "edge_graphs").rglob("*.entry"))
+    for path, change in zip(entries, FORGED_GRAPHS.values(), strict=True):
+        forged(path, "edge_graphs", change)
+    shutil.rmtree(filled / "edges")
+    output, counts = trace(small, tmp_path / "out", filled)
+    assert hash_output(output) == hash_output(reference)
+    for path, name in zip(entries, FORGED_GRAPHS, strict=True):
+        assert f"{path} is damaged; it is made again" in caplog.text, name
+    assert reused(counts) == (0, 0)
+    (path,) = (filled / "edges").rglob("*.entry")
+    for name, change in FORGED_EDGES.items():
+        forged(path, "edges", change)
         caplog.clear()
-        output, counts = trace(small, tmp_path / "out", cache)
+        output, counts = trace(small, tmp_path / "out", filled)
         assert hash_output(output) == hash_output(reference), name
-        assert caplog.text.count("is damaged; it is made again") == (6 if "graph" in kind else 1)
-        assert reused(counts)[0 if "graph" in kind else 1] == 0
+        assert caplog.text.count("is damaged; it is made again") == 1
+        assert reused(counts) == (6, 0)
 
 
 @pytest.mark.parametrize("place", [0, 1])

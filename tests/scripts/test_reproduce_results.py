@@ -24,7 +24,7 @@ pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 def data(tmp_path_factory):
     """A folder of scenes: the fountain and the demo are both the miniature."""
     folder = tmp_path_factory.mktemp("data")
-    posed = dtu.posed_images(miniature.write(folder / "dtu", cameras=6), 6)
+    posed = dtu.posed_images(miniature.write(folder / "dtu", cameras=4), 6)
     for name in ("fountain-P11", "demo"):
         shutil.copytree(posed[0], folder / name / "images")
     sparse = folder / "fountain-P11" / "sparse"

@@ -67,17 +67,18 @@ def write_old_model(folder: Path) -> None:
         (folder / f"{name}.bin").unlink(missing_ok=True)
 
 
-def write_pictures(folder: Path) -> None:
+def write_pictures(folder: Path, of: scenes.Scene | None = None) -> None:
     """The images of the views; JPEG, whatever the names say: PNG's checksums let little through."""
     folder.mkdir(parents=True)
-    for name, image in scene().images.items():
+    for name, image in (of or scene()).images.items():
         (folder / name).write_bytes(cv2.imencode(".jpg", image)[1].tobytes())
 
 
 def write_all(folder: Path) -> None:
-    """A model, as text for the same reason, and its images."""
-    write_pictures(folder / "images")
-    write_model(scene().reconstruction, folder / "sparse", text=True)
+    """A model, as text for the same reason, and its images; so few that it is soon meshed."""
+    few = scenes.make_scene(num_views=5, width=SIZE[0], height=SIZE[1])
+    write_pictures(folder / "images", few)
+    write_model(few.reconstruction, folder / "sparse", text=True)
 
 
 def write_picture_formats(folder: Path) -> None:
