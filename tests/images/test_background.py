@@ -189,7 +189,7 @@ def test_background_reaches_the_mesher(small, tmp_path):
         meshes.append((tmp_path / "out" / "mesh.ply").read_bytes())
     assert meshes[0] == meshes[1] == meshes[2]
     found = reconstruct(pycolmap.Reconstruction(str(scene[1])), scene[0], PLAIN)
-    assert len(found.background.rays.cameras) == counts["background"]["background_rays"]
+    assert len(found.background.cameras) == counts["background"]["background_rays"]
     others = {"background": found.background, "contours": found.contours}
     given = mesh(scene[1], found.edges, **others)
     assert len(given.faces) == counts["mesh"]["faces"]
