@@ -147,12 +147,15 @@ def find_faces(
     seen = (first.samples, first.accepted, first.planes, model.views, pictures, evidence)
     if not len(plain) or plain.mean() < MIN_PLAIN or are_overexposed(*seen):
         return first.faces(NO_FACES.points, NO_FACES.face_ids)
-    if not any(shown.any() for shown in backdrops(pictures)):
+    before_backdrop = any(shown.any() for shown in backdrops(pictures))
+    if not before_backdrop:
         # On objects before a backdrop, faint lines are shades of round bodies.
         labels = first.accepted_labels()
         evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
         planes = find_planes(evidence, model.camera_centers, np.random.default_rng(random_seed))
-    last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights(), finer)
+    # By small cells, a ground may go on over a backdrop of its gray.
+    small = None if before_backdrop else finer
+    last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights(), small)
     chosen = last.chosen()
     points = points_of_samples(last.samples, chosen, model.views, last.pictures)
     return last.faces(points, last.face_ids[chosen])
