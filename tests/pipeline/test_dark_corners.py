@@ -75,8 +75,6 @@ POOR = {
     "forward": along_the_axis(0.02),
     "forward, exactly": along_the_axis(0.0),
 }
-# What others hold, too: views that are upside down, a turned world, one far from its origin.
-SPECIAL = {"upside down", "turned", "UTM"}
 HOPELESS = {
     "pure rotation": tuple(known.looking((0, -4, 2.5), (0.2 * i, 0, 0), i) for i in range(5)),
     "two views": known.ring(2, arc_deg=20),
@@ -104,11 +102,6 @@ def traced_ring(method):
     return model, edges, mesh(model, edges)
 
 
-def leave_out_special(name, soak):
-    if name in SPECIAL and not soak:
-        pytest.skip("in the long version")
-
-
 def distances(edges):
     true = np.concatenate([curve(np.linspace(0, 1, 4000)) for curve in CURVES])
     return cKDTree(true).query(edges.points)[0]
@@ -127,8 +120,7 @@ def check_edges(edges):
 
 @pytest.mark.parametrize("method", TRACERS)
 @pytest.mark.parametrize("name", SOLVABLE)
-def test_true_edges(name, method, soak):
-    leave_out_special(name, soak)
+def test_true_edges(name, method):
     model, edges = trace(SOLVABLE[name], method)
     check_edges(edges)
     assert edges.num_points > 100
@@ -215,9 +207,8 @@ SIMILARITIES = {
 
 @pytest.mark.parametrize("method", TRACERS)
 @pytest.mark.parametrize("name", SIMILARITIES)
-def test_results_go_with_the_world(name, method, soak):
+def test_results_go_with_the_world(name, method):
     """Edges are those of the model before, transformed; so is the mesh, up to rounding."""
-    leave_out_special(name, soak)
     rotation, scale, offset = SIMILARITIES[name]
     views = SOLVABLE["ring"]
     model, expected, plain = traced_ring(method)

@@ -153,7 +153,7 @@ def find_faces(
         labels = first.accepted_labels()
         evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
         planes = find_planes(evidence, model.camera_centers, np.random.default_rng(random_seed))
-    # By small cells, a ground may go on over a backdrop of its gray.
+    # With small cells, a ground as gray as the backdrop may be continued over it.
     small = None if before_backdrop else finer
     last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights(), small)
     chosen = last.chosen()
