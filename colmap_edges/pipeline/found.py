@@ -115,7 +115,7 @@ def find_edges(
         faces = face_stage(model, traced.edges, grids.taken, settings, stages, hidden, round_faces)
         viewer.show_faces(faces.faces)
     if textures:
-        patches = patch_stage(model, traced, textures.taken, settings, stages)
+        patches = patch_stage(model, traced, textures.taken, settings, stages, hidden)
     return Found(model, traced, curves, background, faces, patches, pictures)
 
 

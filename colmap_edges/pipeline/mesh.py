@@ -27,7 +27,7 @@ from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.evidence import gather_evidence
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
-from colmap_edges.surfaces.faces.grids import Grid, with_background, with_bodies
+from colmap_edges.surfaces.faces.grids import Grid, with_backgrounds, with_bodies
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
 from colmap_edges.surfaces.outlines2d import Outlines2D
@@ -90,13 +90,9 @@ def face_stage(
     `grids` are reduced images by view, `hidden` is the background of all views.
     """
     with stages.stage("faces") as stage:
-        masks, others = hidden
+        masks = hidden.masks
         bodies = spread_bodies(model.views, masks, edges.points) if masks else ()
-        shown = dict(grids)
-        for v, mask in enumerate(masks):
-            if mask.is_seen and v in grids:
-                other = others[v] if others else None
-                shown[v] = with_background(model.views[v], grids[v], mask.body(), other)
+        shown = with_backgrounds(model.views, grids, hidden)
         if round_faces.faces:
             views, points = model.views, round_faces.points.points
             shown = {v: with_bodies(views[v], grid, points) for v, grid in shown.items()}

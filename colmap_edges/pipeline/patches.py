@@ -6,10 +6,11 @@ from collections.abc import Mapping
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.edges3d import TracedEdges
+from colmap_edges.images.background import Backgrounds
 from colmap_edges.options import PipelineOptions
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages
-from colmap_edges.surfaces.faces.grids import Grid
+from colmap_edges.surfaces.faces.grids import Grid, with_backgrounds
 from colmap_edges.surfaces.patches.finding import Patches, find_patches
 from colmap_edges.surfaces.patches.outlines import with_outlines
 
@@ -20,13 +21,15 @@ def patch_stage(
     pictures: Mapping[int, Grid],
     options: PipelineOptions,
     stages: Stages,
+    hidden: Backgrounds,
 ) -> Patches:
     """Find patches, and append points on outlines of smooth bodies, which meshes may lack, too.
 
-    `pictures` are the views' images without distortion.
+    `pictures` are the views' images without distortion, `hidden` is the background of all views.
     """
     with stages.stage("patches") as stage:
-        given = (model, traced.edges, pictures, options.random_seed)
+        shown = with_backgrounds(model.views, pictures, hidden)
+        given = (model, traced.edges, shown, options.random_seed)
         patches = find_patches(*given, thread_count(options))
         stage.counts = {
             "windows_with_texture": patches.num_sites,

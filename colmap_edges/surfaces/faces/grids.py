@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from colmap_edges.core.arrays import (
     parts_of,
 )
 from colmap_edges.core.view import View
+from colmap_edges.images.background import Backgrounds
 from colmap_edges.images.files import gray_of
 
 CELL_PX = 4  # side of a cell in pixels of the reduced image
@@ -189,6 +190,18 @@ def with_background(
 
     known = None if others is None else seen(others)
     return replace(grid, background=seen(~body), others=known)
+
+
+def with_backgrounds(
+    views: Sequence[View], grids: Mapping[int, Grid], shown: Backgrounds
+) -> dict[int, Grid]:
+    """Pictures of views by their index, with the backgrounds of those that show one."""
+    found = dict(grids)
+    for v, mask in enumerate(shown.masks):
+        if mask.is_seen and v in grids:
+            others = shown.others[v] if shown.others else None
+            found[v] = with_background(views[v], grids[v], mask.body(), others)
+    return found
 
 
 def with_bodies(view: View, grid: Grid, points: FloatArray) -> Grid:

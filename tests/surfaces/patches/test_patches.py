@@ -87,8 +87,20 @@ def test_masked_windows_are_no_sites(scene):
     usable = np.ones(scene[1][0].gray.shape, bool)
     usable[:, :80] = False
     sites = textured_sites(replace(scene[1][0], usable=usable), np.zeros((0, 2)))
-    columns = np.flatnonzero(sites.any(axis=0)) * 6 + 3
+    columns = np.flatnonzero(sites.any(axis=0)) * 4 + 3
     assert columns.min() >= 83
+
+
+def test_windows_that_touch_the_background_are_no_sites(scene):
+    background = np.zeros(scene[1][0].gray.shape, bool)
+    background[:, :80] = True
+    sites = textured_sites(replace(scene[1][0], background=background), np.zeros((0, 2)))
+    columns = np.flatnonzero(sites.any(axis=0)) * 4 + 3
+    assert 83 < columns.min() <= 87
+    # A window goes on to 3 pixels; outlines blur it for one more.
+    background[:, :81] = True
+    fewer = textured_sites(replace(scene[1][0], background=background), np.zeros((0, 2)))
+    assert (np.flatnonzero(fewer.any(axis=0)) * 4 + 3).min() > 84
 
 
 def test_places_outside_the_image_are_not_usable():
@@ -102,7 +114,7 @@ def test_places_outside_the_image_are_not_usable():
 
 def test_sites_keep_away_from_edges(scene):
     edge = np.column_stack([np.full(120, 80.0), np.arange(120.0)])
-    columns = np.flatnonzero(textured_sites(scene[1][0], edge).any(axis=0)) * 6 + 3
+    columns = np.flatnonzero(textured_sites(scene[1][0], edge).any(axis=0)) * 4 + 3
     assert np.abs(columns - 80).min() >= 5
 
 
@@ -121,7 +133,7 @@ def test_hypotheses_continue_the_plane_of_known_points(rng):
     inverse = 0.3 + pixels @ [0.001, -0.002]
     found = hypotheses_at(np.ones((15, 15), bool), pixels, inverse)
     inner = found[3:12, 3:12, 0].reshape(-1, 3)
-    rows, columns = np.mgrid[3:12, 3:12].reshape(2, -1) * 6 + 3
+    rows, columns = np.mgrid[3:12, 3:12].reshape(2, -1) * 4 + 3
     expected = 0.3 + 0.001 * columns - 0.002 * rows
     np.testing.assert_allclose(inner[:, 0], expected, rtol=1e-5)
     np.testing.assert_allclose(inner[:, 1:], np.tile([0.001, -0.002], (81, 1)), rtol=1e-3)
@@ -133,7 +145,7 @@ def test_noise_is_averaged_on_planes_only(rng):
     at = np.zeros((len(rows), 5), np.int32)
     at[:, 1], at[:, 2] = rows, columns
     values = np.zeros((len(rows), 7))
-    values[:, :2] = np.column_stack([columns, rows]) * 6 + 3
+    values[:, :2] = np.column_stack([columns, rows]) * 4 + 3
     true = 0.3 + values[:, 0] * 1e-4 + np.where(columns < 16, 0, 0.05)
     values[:, 2] = true + rng.normal(0, 1e-3, len(rows))
     values[:, 5] = 5e-4  # half of the true deviation
