@@ -188,18 +188,31 @@ def regions_below_the_sky():
     )
 
 
+def found_among(*pairs):
+    """Which regions are found if 0 to 2 are the sky; pairs are source, target, samples, agree."""
+    sources, targets, counts, agree = (np.array(column) for column in zip(*pairs, strict=True))
+    matches = Matches(
+        np.full(6, 100),
+        np.repeat(sources, counts),
+        np.repeat(targets, counts),
+        np.repeat(agree, counts),
+    )
+    return spread(matches, regions_below_the_sky(), np.arange(6) < 3).tolist()
+
+
 @pytest.mark.parametrize("in_the_sky, is_roof", [(2, False), (15, True)])
 def test_a_roof_agrees_with_itself_alone(in_the_sky, is_roof):
     # Samples of regions 3 and 4 agree with each other and with 5, and some lie in the sky.
     pairs = [(3, 4, 60, True), (3, 5, 30, True), (3, 1, in_the_sky, False)]
     pairs += [(4, 3, 60, True), (4, 5, 30, True), (4, 0, in_the_sky, False)]
-    sources, targets, counts, agree = (np.array(column) for column in zip(*pairs, strict=True))
-    sampled = np.full(6, 100)
-    matches = Matches(
-        sampled, np.repeat(sources, counts), np.repeat(targets, counts), np.repeat(agree, counts)
-    )
-    found = spread(matches, regions_below_the_sky(), np.arange(6) < 3)
-    assert found.tolist() == [True] * 3 + [not is_roof] * 2 + [False]
+    assert found_among(*pairs) == [True] * 3 + [not is_roof] * 2 + [False]
+
+
+def test_what_agreed_with_a_roof_alone_is_no_sky_either():
+    # The samples of region 3 that lie in the sky tell that it is a roof. Those of 4 are too few.
+    pairs = [(3, 4, 60, True), (3, 5, 60, True), (3, 1, 20, False)]
+    pairs += [(4, 3, 60, True), (4, 0, 8, False)]
+    assert found_among(*pairs) == [True] * 3 + [False] * 3
 
 
 def test_a_blue_gable_is_elsewhere_in_other_views():

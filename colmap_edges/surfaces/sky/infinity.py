@@ -95,7 +95,11 @@ def spread(matches: Matches, regions: Regions, is_sky: BoolArray) -> BoolArray:
         reached = at_border & (counts_of(matches, found)[1] >= MIN_MATCHES * matches.sampled)
         reached[beside[found[beside[:, 1]], 0]] = True
         found = found | (far & reached)
-    return is_sky | (found & are_consistent(matches, found, LIMITS[-1]))
+    count = -1
+    while found.sum() != count:  # what agreed with a region that is left out may go, too
+        count = int(found.sum())
+        found = is_sky | (found & are_consistent(matches, found, LIMITS[-1]))
+    return found
 
 
 def are_consistent(matches: Matches, of_targets: BoolArray, limit: float) -> BoolArray:
