@@ -20,9 +20,10 @@ class BundleAdjustmentOptions(Options):
     adjusted_observations: int = 2000
     # Number of parts in which points are held out.
     num_folds: int = 5
-    # Minimum relative decrease of the cost of held-out points for which refined poses are kept, the
-    # median of all parts: less changes no result, but takes time (set by trial: true
-    # poses have at most 0.004, most poses that are off by 0.1 to 0.5 px 0.08 to 0.7).
+    # Minimum relative decrease of the cost of held-out points for which refined poses are kept, of
+    # one part where it is clear, else the median of all: less changes no result, but takes time
+    # (set by trial: true poses have at most 0.004, most poses that are off by 0.1 to 0.5 px 0.08 to
+    # 0.7).
     min_gain: float = 0.05
     # Strength of the initial poses: number of points that each shows in its place (set by trial).
     prior_observations: float = 30.0

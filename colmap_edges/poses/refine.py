@@ -16,6 +16,10 @@ from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import EDGE, SFM, Problem, State, make_problem
 from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, fit_points
 
+# The gain of one fold decides beyond this factor of the least one. In 44 random scenes one fold and
+# the median of five agree always; 43 of these are beyond.
+CLEAR_FACTOR = 2.0
+
 
 def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem, State]:
     """The problem restricted to the chosen (P,) points."""
@@ -33,13 +37,13 @@ def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem,
 def held_out_gains(
     problem: Problem, start: State, options: BundleAdjustmentOptions, num_threads: int
 ) -> FloatArray:
-    """By how much poses adjusted on the other folds of the points lower the cost of each fold.
+    """By how much poses adjusted on the other folds of the points lower the cost of a fold.
 
     All points of a 3D edge are in one fold. Refined poses lower the cost of held-out points only if
     the initial poses were wrong; fitting noise raises it.
 
     Returns:
-        The relative decreases of the first folds, as many as determine the median of all.
+        The relative decrease of one fold if that is clear, else of all.
     """
     folds = np.unique(problem.groups, return_inverse=True)[1] % options.num_folds
 
@@ -53,12 +57,11 @@ def held_out_gains(
         )
         return 1 - refined_cost / max(cost, 1e-300)
 
-    majority = options.num_folds // 2 + 1
+    first = gain_of(0)
+    if not options.min_gain / CLEAR_FACTOR < first < options.min_gain * CLEAR_FACTOR:
+        return np.array([first])
     with ThreadPoolExecutor(min(num_threads, options.num_folds)) as pool:
-        gains = list(pool.map(gain_of, range(majority)))
-        if 0 < np.count_nonzero(np.array(gains) >= options.min_gain) < majority:
-            gains += pool.map(gain_of, range(majority, options.num_folds))
-    return np.array(gains)
+        return np.array([first, *pool.map(gain_of, range(1, options.num_folds))])
 
 
 def refine_poses(
