@@ -19,6 +19,7 @@ from colmap_edges.core.arrays import (
     ranges_of,
 )
 from colmap_edges.edges2d.edge_maps import BRANCH_PX, rescaled
+from colmap_edges.images.files import square
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 # Pixels are those of the given image, which is not upsampled: faint edges are blurred anyway.
@@ -51,7 +52,7 @@ def faint_pixel_chains(
     found[np.clip(taken[:, 1], 0, height - 1), np.clip(taken[:, 0], 0, width - 1)] = 1
     # Radius around EdgeDrawing's chains, in pixels of the upsampled image.
     radius = round(3.0 / scale)
-    edges[cv2.dilate(found, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) > 0] = 0
+    edges[cv2.dilate(found, square(radius)) > 0] = 0
     chains = _kernels.link_pixels(without_stairs(edges), BRANCH_PX)
     return rescaled(*straight_stretches(*chains), scale)
 

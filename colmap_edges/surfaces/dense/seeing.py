@@ -22,6 +22,7 @@ from colmap_edges.core.arrays import (
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images.files import square
 
 
 def seen_by(
@@ -96,7 +97,7 @@ def visible_in(view: View, points: FloatArray) -> IntArray:
     np.minimum.at(nearest, (lines, columns), depths)
     # A nearer point hides this one in its cell and those next to it, unless both are of one
     # surface: depth against width has a slope of 5.7 where it is seen at 80 degrees.
-    around = cv2.erode(nearest, np.ones((3, 3), np.uint8))
+    around = cv2.erode(nearest, square(1))
     margin = 5.7 * (1.5 * side) / (view.focal_px / view.scale)
     return np.asarray(rows[depths * (1 - margin) <= around[lines, columns]])
 

@@ -15,6 +15,7 @@ from colmap_edges.core.checks import check_arrays, check_values
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.errors import check_type
+from colmap_edges.images.files import square
 from colmap_edges.surfaces.bodies import Body, within
 from colmap_edges.surfaces.faces.decision import (
     MIN_PLAIN,
@@ -266,5 +267,5 @@ def label_scene(
 
 def at_borders(labels: Int32Array) -> BoolArray:
     """(rows, columns) whether one of the eight cells around a cell has another label, or none."""
-    of, around = labels.astype(np.float32), np.ones((3, 3), np.uint8)
+    of, around = labels.astype(np.float32), square(1)
     return np.asarray((cv2.dilate(of, around) > of) | (cv2.erode(of, around) < of))

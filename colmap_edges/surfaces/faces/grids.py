@@ -22,7 +22,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.view import View
 from colmap_edges.images.background import Backgrounds
-from colmap_edges.images.files import gray_of
+from colmap_edges.images.files import gray_of, square
 
 CELL_PX = 4  # side of a cell in pixels of the reduced image
 NODE_PX = 8  # pixels of the picture
@@ -218,7 +218,7 @@ def with_bodies(view: View, grid: Grid, points: FloatArray) -> Grid:
     inside = view.holds(pixels, depths_of_points)
     at = tuple(of // 2 for of in cells_in(view, grid, points[inside]))
     np.minimum.at(depths, at, depths_of_points[inside])
-    around = np.ones((3, 3), np.uint8)
+    around = square(1)
     held = cv2.morphologyEx(np.isfinite(depths).astype(np.uint8), cv2.MORPH_CLOSE, around) > 0
     nearest = cv2.erode(depths, around)  # some cells show points of the far side alone
     known = np.where(held, nearest, np.float32(np.nan))

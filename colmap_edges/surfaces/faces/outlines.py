@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, entries_of
+from colmap_edges.images.files import square
 from colmap_edges.surfaces.faces.decision import Samples
 from colmap_edges.surfaces.faces.hypotheses import Planes
 
@@ -81,7 +82,7 @@ def faces_of_plane(
     columns, rows = np.floor((at - low) / cell).astype(np.int64).T + 2
     mask = np.zeros((rows.max() + 3, columns.max() + 3), np.uint8)
     mask[rows, columns] = 1
-    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, square(1)), np.uint8)
     num_pieces, pieces = cv2.connectedComponents(mask, connectivity=4)
     faces: list[Face] = []
     face_ids = np.full(len(own), -1)

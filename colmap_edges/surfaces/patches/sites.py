@@ -12,6 +12,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray, owners_of, row_numbers
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import rows_by_view
+from colmap_edges.images.files import square
 from colmap_edges.surfaces.faces.grids import Grid
 
 STEP_PX = 4  # between sites, pixels of the pictures
@@ -55,10 +56,13 @@ def textured_sites(grid: Grid, edge_pixels: FloatArray) -> BoolArray:
     inside = (columns >= 0) & (rows >= 0) & (columns < gray.shape[1]) & (rows < gray.shape[0])
     away[rows[inside], columns[inside]] = 0
     textured &= cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_5) >= EDGE_PX
-    for left_out in (grid.background, None if grid.usable is None else ~grid.usable):
-        if left_out is not None:
-            around = np.ones((2 * RADIUS_PX + 3,) * 2, np.uint8)  # outlines are a pixel wide
-            textured &= cv2.dilate(left_out.astype(np.uint8), around) == 0
+    left_out = np.zeros(gray.shape, np.uint8)
+    if grid.usable is not None:
+        left_out[~grid.usable] = 1
+    if grid.background is not None:
+        left_out[grid.background] = 1
+    # Outlines are a pixel wide.
+    textured &= cv2.dilate(left_out, square(RADIUS_PX + 1)) == 0
     height, width = shape_of(grid)
     sites = textured[RADIUS_PX::STEP_PX, RADIUS_PX::STEP_PX][:height, :width]
     return np.ascontiguousarray(sites)
