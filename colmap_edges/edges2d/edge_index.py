@@ -11,6 +11,7 @@ from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.runtime.executors import in_threads
 
 
 def make_edge_index(graph: EdgeGraph, view: View) -> _kernels.EdgeIndex:
@@ -42,17 +43,19 @@ class IndexedGraphs(Protocol):
 
 
 def look_up(
-    given: IndexedGraphs, *observed: ChainObservations
+    given: IndexedGraphs, *observed: ChainObservations, num_threads: int
 ) -> list[tuple[Observations, FloatArray]]:
     """Look up pixels, normals and (T, 3) colours of observations on chains.
 
     Args:
         given: the edge graphs of all views; each is used once.
         observed: positions on their chains, of one or more kinds of points.
+        num_threads: threads to use; the result does not depend on it.
     """
     found = [unknown(of) for of in observed]
     rows_of = [dict(of.by_view()) for of in observed]
-    for view in sorted(set().union(*rows_of)):
+
+    def fill_in(view: int) -> None:
         graph, index = given.graph(view), given.index(view)
         for (seen, colors), rows_by_view in zip(found, rows_of, strict=True):
             rows = rows_by_view.get(view, np.zeros(0, np.int64))
@@ -61,6 +64,8 @@ def look_up(
             pixels, colors[rows] = at_positions(graph, positions, graph.points, graph.colors)
             seen.pixels[rows] = pixels
             seen.normals[rows] = across(tangents_at(graph, index, positions))
+
+    in_threads(fill_in, sorted(set().union(*rows_of)), num_threads)
     return found
 
 

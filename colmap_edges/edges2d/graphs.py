@@ -204,12 +204,13 @@ def graph_bytes(graph: EdgeGraph) -> int:
 
 
 class LRUCache(Generic[T]):
-    """The most recently used values by key; pickled without its content."""
+    """The most recently used values by key, for several threads; pickled without its content."""
 
     def __init__(self, num_kept: int) -> None:
         """Start empty; keep at most `num_kept` values."""
         self.num_kept = num_kept
         self.things: OrderedDict[Hashable, T] = OrderedDict()
+        self.lock = Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the size only."""
@@ -221,9 +222,13 @@ class LRUCache(Generic[T]):
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
         """The value of `key`, made by `make` if it is not kept."""
-        if key not in self.things:
-            self.things[key] = make()
+        with self.lock:
+            if key in self.things:
+                self.things.move_to_end(key)
+                return self.things[key]
+        made = make()
+        with self.lock:
+            made = self.things.setdefault(key, made)
             while len(self.things) > self.num_kept:
                 self.things.popitem(last=False)
-        self.things.move_to_end(key)
-        return self.things[key]
+        return made

@@ -101,7 +101,10 @@ def find_edges(
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)
     model, traced = trace_stage(model, detection, settings, stages, workers)
-    outlines = find_outlines(model.views, detection.graphs, traced.edges) if grids else None
+    threads = thread_count(settings)
+    outlines = (
+        find_outlines(model.views, detection.graphs, traced.edges, threads) if grids else None
+    )
     detection.graphs.release()
     if model is not given:
         viewer.show_model(model)

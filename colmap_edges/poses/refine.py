@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +14,7 @@ from colmap_edges.core.edges3d import AS_GIVEN, AdjustedPoses, Edges3D
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import EDGE, SFM, Problem, State, make_problem
 from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, fit_points
+from colmap_edges.runtime.executors import in_threads
 
 # The gain of one fold decides beyond this factor of the least one. In 44 random scenes one fold and
 # the median of five agree always; 43 of these are beyond.
@@ -60,8 +60,7 @@ def held_out_gains(
     first = gain_of(0)
     if not options.min_gain / CLEAR_FACTOR < first < options.min_gain * CLEAR_FACTOR:
         return np.array([first])
-    with ThreadPoolExecutor(min(num_threads, options.num_folds)) as pool:
-        return np.array([first, *pool.map(gain_of, range(1, options.num_folds))])
+    return np.array([first, *in_threads(gain_of, range(1, options.num_folds), num_threads)])
 
 
 def refine_poses(

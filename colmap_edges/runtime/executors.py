@@ -23,7 +23,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Any, TypeVar
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions
@@ -36,6 +36,7 @@ WORKERS_S = 20  # a worker, at the start and after the last one was lost
 WATCH_S = 1  # a result, until the cluster is asked whether it still has workers
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]  # a function and its arguments
+T, R = TypeVar("T"), TypeVar("R")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,6 +230,12 @@ def run_all(
         return [first_done([future], check).pop().result() for future in futures]
     finally:
         stop(futures)
+
+
+def in_threads(function: Callable[[T], R], items: Iterable[T], num_threads: int) -> list[R]:
+    """The results of a function for some items, in order; several at the same time."""
+    with ThreadPoolExecutor(num_threads) as pool:
+        return list(pool.map(function, items))
 
 
 def run_scheduled(

@@ -10,7 +10,12 @@ from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
 
+from colmap_edges.runtime.memory import return_freed_memory
 from colmap_edges.runtime.platform import peak_memory_mb, reset_peak_memory
+
+# Peak memory of a stage from which on what it freed is returned to the system after it: the next
+# stages free arrays of other sizes, which do not fit into the gaps. This takes 20 ms a GB.
+TRIMMED_MB = 500
 
 # Called with the stage's name, the number of finished steps and their total number.
 Progress = Callable[[str, int, int], None]
@@ -80,6 +85,8 @@ class Stages:
         stage.peak_mb = peak_memory_mb()
         self.progress(name, total, total)
         self.finished.append(stage)
+        if stage.peak_mb > TRIMMED_MB:
+            return_freed_memory()
 
     def records(self) -> list[dict[str, Any]]:
         """Records of the finished stages."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from colmap_edges.core.arrays import FloatArray, IntArray, Picture
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.runtime.executors import in_threads
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.texture.charts import Charts
 from colmap_edges.texture.gains import gained
@@ -62,8 +62,7 @@ class Atlas:
         for chart in np.flatnonzero(self.charts.views < 0).tolist():
             self.part(chart)[:] = self.charts.colors[chart]
         used = np.unique(self.charts.views[self.charts.views >= 0]).tolist()
-        with ThreadPoolExecutor(num_threads) as pool:
-            list(pool.map(lambda view: self.fill_from(view, images, gains[view]), used))
+        in_threads(lambda view: self.fill_from(view, images, gains[view]), used, num_threads)
 
     def part(self, chart: int) -> Picture:
         """The part of the picture that a chart has."""

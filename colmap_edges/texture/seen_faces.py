@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import cv2
@@ -21,6 +20,7 @@ from colmap_edges.core.view import View
 from colmap_edges.errors import ImageError
 from colmap_edges.images.files import square
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.runtime.executors import in_threads
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.texture.pictures import Images
 
@@ -68,8 +68,7 @@ def find_seen_faces(
 ) -> SeenFaces:
     """Find which views see each triangle; views whose image cannot be read see none."""
     directions = directions_of(mesh)
-    with ThreadPoolExecutor(num_threads) as pool:
-        parts = list(pool.map(lambda view: seen_by(mesh, directions, view, images), views))
+    parts = in_threads(lambda view: seen_by(mesh, directions, view, images), views, num_threads)
     faces = np.concatenate([rows for rows, _ in parts])
     owners = np.repeat(np.arange(len(parts), dtype=np.int32), [len(rows) for rows, _ in parts])
     order = np.argsort(faces, kind="stable")

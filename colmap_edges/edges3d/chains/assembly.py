@@ -55,7 +55,7 @@ def link(
     edges = meet_at_nodes(edges, given, options, num_threads)
     contours = linked(pieces.contours)
     given.graphs.trim()
-    return with_look_up(given, edges, contours), {
+    return with_look_up(given, edges, contours, num_threads), {
         "pieces": pieces.edges.num_edges,
         "bridges": num_bridges,
         "edges_closed": int(edges.closed.sum()),
@@ -88,11 +88,14 @@ def make_edges(parts: list[TracedCurves]) -> Edges3D:
     )
 
 
-def with_look_up(given: TracingInput, edges: Edges3D, contours: Edges3D) -> TracedEdges:
+def with_look_up(
+    given: TracingInput, edges: Edges3D, contours: Edges3D, num_threads: int
+) -> TracedEdges:
     """The edges with chains, pixels and normals of all observations, and colours of all points."""
     nodes = edges.nodes
+    observed = (edges.observations, nodes.observations, contours.observations)
     (of_edges, colors), (of_nodes, node_colors), (of_contours, contour_colors) = look_up(
-        given, edges.observations, nodes.observations, contours.observations
+        given, *observed, num_threads=num_threads
     )
     nodes = replace(nodes, observations=of_nodes, colors=mean_colors(node_colors, of_nodes.offsets))
     colors_of_points = mean_colors(colors, of_edges.offsets)

@@ -82,9 +82,9 @@ def find_envelopes(
     def calls() -> Iterator[Call]:
         for view in range(given.num_views):
             part = given.part(view, given.neighbors[view], workers)
-            yield envelopes_of, (part, view, near.ranges[view], options, workers.threads_per_view)
+            yield envelopes_of, (part, view, near.ranges[view], options, 1)
 
-    found: list[Envelopes] = run_all(workers.views, calls(), check=workers.check)
+    found: list[Envelopes] = run_all(workers.images, calls(), check=workers.check)
     return joined_tables(found)
 
 

@@ -12,6 +12,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.runtime.executors import in_threads
 
 # maximum tangent of the angle between the surface through neighbours and the image plane
 MAX_SLOPE = 3.0
@@ -43,21 +44,23 @@ def find_hidden(
     hidden = np.zeros(len(track_points), bool)
     own_rows = rows_by_view(track_views, len(model.views))
     sfm_rows = rows_by_view(model.track_views, len(model.views))
-    for view, own, sfm in zip(model.views, own_rows, sfm_rows, strict=True):
-        if len(own) == 0:
-            continue
+
+    def find_in(index: int) -> None:
+        own, sfm = own_rows[index], sfm_rows[index]
         seen = track_points[own]
         around = model.points3D_xyz[model.track_points[sfm]]
         nearer, agreeing = count_around(
-            view,
+            model.views[index],
             np.concatenate([points[seen], around]),
             np.concatenate([sigmas[seen], np.zeros(len(around))]),
             np.concatenate([curves[seen], np.full(len(around), -1)]),
             radius_px,
-            num_threads,
+            1,
         )
         # Of the neighbours at the same depth.
         hidden[own] = (nearer > 0.5 * agreeing)[: len(own)]
+
+    in_threads(find_in, [v for v, own in enumerate(own_rows) if len(own)], num_threads)
     return hidden
 
 

@@ -54,6 +54,7 @@ from colmap_edges.poses.refine import refine_poses
 from colmap_edges.runtime.executors import (
     Call,
     Workers,
+    in_threads,
     open_workers,
     run_all,
     run_scheduled,
@@ -142,14 +143,19 @@ def trace_pieces(
     poses = AS_GIVEN
     refined: dict[str, Any] = {}
     if options.refine_poses:
-        edges = with_look_up(whole, make_edges(last[0].edges), Edges3D.none()).edges
+        edges = make_edges(last[0].edges)
+        edges = with_look_up(whole, edges, Edges3D.none(), num_threads).edges
+        whole.indexes.clear()
+        whole.graphs.trim()
         poses, refined = refine_poses(model, edges, adjustment, num_threads, options.random_seed)
         if len(poses.motions):
             few = thinned(moved_model(model, poses), options.random_seed)
             whole = replace(whole, views=few.views)
-            whole.indexes.clear()
+            whole.graphs.trim()
             rounds = trace_rounds(few, whole, depths, near, options, workers)
-    kept, stats = [last, *rounds][-1]
+    for last in rounds:  # noqa: B007, one by one: no tables of a round outlast the next one
+        pass
+    kept, stats = last
     rest = replace(what_remains(whole, kept, options.tracing), neighbors=near.later_neighbors)
     outlines = find_envelopes(rest, near, options.chain_depth, workers)
     kept, repeated = without_repeats(whole, kept, options.tracing)
@@ -221,19 +227,23 @@ def find_depths(
     def calls() -> Iterator[Call]:
         for view in order.tolist():
             part = given.part(view, given.neighbors[view], workers)
-            depth_range, threads = near.ranges[view], workers.threads_per_view
-            yield compute_chain_depths, (part, view, depth_range, options.chain_depth, threads)
+            depth_range = near.ranges[view]
+            yield compute_chain_depths, (part, view, depth_range, options.chain_depth, 1)
 
-    found = run_all(workers.views, calls(), workers.advance, workers.check)
-    depths = [found[place] for place in np.argsort(order)]
-    agreeing = {
-        view: count_agreeing_views(given, depths, view, options.tracing.max_inconsistency_px)
-        for view in order.tolist()
-    }
+    found = run_all(workers.images, calls(), workers.advance, workers.check)
+    places = np.argsort(order)
+    depths = [found[place] for place in places]
+    agreeing = in_threads(
+        lambda view: count_agreeing_views(
+            given, depths, view, options.tracing.max_inconsistency_px
+        ),
+        order.tolist(),
+        thread_count(options),
+    )
     given.graphs.put_aside()  # from here on each is needed once or twice, the indexes often
     return Depths(
         samples=[without_supports(of) for of in depths],
-        agreeing=[agreeing[view] for view in range(len(order))],
+        agreeing=[agreeing[place] for place in places],
     )
 
 

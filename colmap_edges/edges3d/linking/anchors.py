@@ -25,6 +25,7 @@ from colmap_edges.edges2d.edge_index import IndexedGraphs
 from colmap_edges.edges2d.straight_pieces import near_observations, straight_pieces
 from colmap_edges.edges3d.linking.corners import fit_end_lines
 from colmap_edges.edges3d.linking.ends import MIN_ANGLE_DEG
+from colmap_edges.runtime.executors import in_threads
 
 STRAIGHT_PX = 1.0  # maximum distance of a piece's points from its chord
 MAX_OBSERVED = 0.5  # maximum share of a piece that 3D edges observe
@@ -105,6 +106,7 @@ def find_anchored_pieces(
     views: Sequence[View] | Mapping[int, View],
     given: IndexedGraphs,
     max_extension: float,
+    num_threads: int,
 ) -> AnchoredPieces:
     """The straight pieces that no edge observes, and both of whose ends meet edges.
 
@@ -113,23 +115,28 @@ def find_anchored_pieces(
         views: the views.
         given: their edge graphs.
         max_extension: maximum extension of ends of edges, in spacings.
+        num_threads: threads to use; the result does not depend on it.
     """
     lines = edge_lines(edges, max_extension)
     observed = edges.observations
     edges_seen = edges.edge_ids[observed.points]
-    found = []
-    for number, rows in observed.by_view():
+    none = with_both_ends(NO_ANCHORS, np.zeros((0, 3)), 0)
+
+    def pieces_of(number: int, rows: IntArray) -> AnchoredPieces:
         view, graph = views[number], given.graph(number)
         known = near_observations(len(graph.undistorted), observed.positions[rows])
         pieces = straight_pieces(graph, known, STRAIGHT_PX)
         ends = pieces.ends[pieces.observed <= MAX_OBSERVED]
-        if len(ends):
-            rays = view.rays_of_undistorted(ends)
-            normals = unit(np.cross(rays[:, 0], rays[:, 1]))
-            seen = entries_of(edges.edge_offsets, np.unique(edges_seen[rows]))
-            anchors = find_anchors(lines.select(seen), ends, normals, view)
-            found.append(with_both_ends(anchors, normals, number))
-    return joined_tables(found) if found else with_both_ends(NO_ANCHORS, np.zeros((0, 3)), 0)
+        if not len(ends):
+            return none
+        rays = view.rays_of_undistorted(ends)
+        normals = unit(np.cross(rays[:, 0], rays[:, 1]))
+        seen = entries_of(edges.edge_offsets, np.unique(edges_seen[rows]))
+        anchors = find_anchors(lines.select(seen), ends, normals, view)
+        return with_both_ends(anchors, normals, number)
+
+    found = in_threads(lambda of: pieces_of(*of), observed.by_view(), num_threads)
+    return joined_tables([none, *found])
 
 
 NO_ANCHORS = Anchors(

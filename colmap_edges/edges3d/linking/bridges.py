@@ -59,7 +59,8 @@ def with_bridges(
     """
     if not edges.num_edges:
         return edges, 0
-    pieces = find_anchored_pieces(edges, views, given, options.linking.max_corner_spacings)
+    reach = options.linking.max_corner_spacings
+    pieces = find_anchored_pieces(edges, views, given, reach, num_threads)
     # One more than for edge points, since no depths along it agree.
     groups = agreeing(pieces, options.tracing.min_observations + 1)
     groups = [rows for rows in groups if turn_px(pieces.select(rows), views) >= MIN_TURN_PX]

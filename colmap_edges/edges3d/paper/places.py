@@ -99,7 +99,7 @@ class IndexedViews:
         """Observations at (N) positions, one per point, and (N, 3) colours."""
         each = np.arange(len(places) + 1)
         observed = ChainObservations(offsets=each, views=places.views, positions=places.positions)
-        return look_up(self, observed)[0]
+        return look_up(self, observed, num_threads=1)[0]
 
     def undistorted_points(self, places: Places) -> FloatArray:
         """(N, 2) undistorted pixels of positions."""

@@ -31,6 +31,7 @@ std::vector<std::array<T, 2>> ToPairs(const Pairs<T>& rows) {
 void InitEdgeIndex(EdgeIndex* self, Pairs<float> points, Pairs<float> normals, Pairs<uint8_t> sides,
                    Longs offsets, Bools closed, Rotation rotation, Translation translation,
                    double focal) {
+  const nb::gil_scoped_release release;
   new (self) EdgeIndex(ToPairs(points), ToPairs(normals), ToPairs(sides), ToVector(offsets),
                        {closed.data(), closed.data() + closed.size()},
                        MakePinholeView(rotation.data(), translation.data(), focal));
@@ -67,11 +68,14 @@ int CheckTracksArrays(InArray<uint8_t, nb::ndim<1>> data, Longs starts, Longs co
 nb::tuple ChainPointsArrays(const EdgeIndex& chains, Doubles positions) {
   const size_t count = positions.size();
   std::vector<double> points(2 * count), tangents(2 * count);
-  for (size_t i = 0; i < count; ++i) {
-    Require(chains.Holds(positions(i)), "a position is not on a chain");
-    const Vec2 point = chains.At(positions(i)), tangent = chains.tangent(int64_t(positions(i)));
-    points[2 * i] = point.x, points[2 * i + 1] = point.y;
-    tangents[2 * i] = tangent.x, tangents[2 * i + 1] = tangent.y;
+  {
+    const nb::gil_scoped_release release;
+    for (size_t i = 0; i < count; ++i) {
+      Require(chains.Holds(positions(i)), "a position is not on a chain");
+      const Vec2 point = chains.At(positions(i)), tangent = chains.tangent(int64_t(positions(i)));
+      points[2 * i] = point.x, points[2 * i + 1] = point.y;
+      tangents[2 * i] = tangent.x, tangents[2 * i + 1] = tangent.y;
+    }
   }
   return nb::make_tuple(ToArray(std::move(points), {count, 2}),
                         ToArray(std::move(tangents), {count, 2}));

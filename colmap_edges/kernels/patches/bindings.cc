@@ -50,32 +50,21 @@ class PatchScene {
     patches_.resize(count);
   }
 
-  // Searches the patches of all views; returns how many there are.
-  int64_t Search(const std::vector<Picture8>& active, const std::vector<Hypotheses>& hypotheses,
-                 Points2D ranges, double flat, double min_cosine, int num_sweeps, double believed,
-                 uint64_t seed, int num_threads) {
-    const size_t count = views_.size();
-    Require(active.size() == count && hypotheses.size() == count && ranges.shape(0) == count,
-            "views differ in number");
-    for (size_t v = 0; v < count; ++v) {
-      PatchSites& sites = sites_[v];
-      Require(int(active[v].shape(0)) == sites.rows && int(active[v].shape(1)) == sites.columns &&
-                  int(hypotheses[v].shape(0)) == sites.rows &&
-                  int(hypotheses[v].shape(1)) == sites.columns,
-              "sites differ from those of the pictures");
-      sites.active = active[v].data(), sites.hypotheses = hypotheses[v].data();
-      sites.num_hypotheses = int(hypotheses[v].shape(2));
-      sites.low = ranges(v, 0), sites.high = ranges(v, 1);
-    }
+  // Searches the patches of a view; returns how many there are. Several threads may search, each
+  // in a view of its own.
+  int64_t Search(int v, Picture8 active, Hypotheses hypotheses, double low, double high,
+                 double flat, double min_cosine, int num_sweeps, double believed, uint64_t seed) {
+    Require(v >= 0 && size_t(v) < views_.size(), "view index out of range");
+    PatchSites sites = sites_[v];
+    Require(int(active.shape(0)) == sites.rows && int(active.shape(1)) == sites.columns &&
+                int(hypotheses.shape(0)) == sites.rows && int(hypotheses.shape(1)) == sites.columns,
+            "sites differ from those of the pictures");
+    sites.active = active.data(), sites.hypotheses = hypotheses.data();
+    sites.num_hypotheses = int(hypotheses.shape(2)), sites.low = low, sites.high = high;
     const PatchOptions options{step_, flat, min_cosine, num_sweeps, believed};
     nb::gil_scoped_release release;
-    ParallelFor(int64_t(count), num_threads, [&](int64_t v, int) {
-      patches_[v] = PatchSearch(views_, int(v), neighbors_[v], sites_[v], options, seed).Run();
-    });
-    int64_t found = 0;
-    for (const auto& of : patches_)
-      for (const FoundPatch& patch : of) found += patch.unit > 0;
-    return found;
+    patches_[v] = PatchSearch(views_, v, neighbors_[v], sites, options, seed).Run();
+    return CountFound(v);
   }
 
   // Patches of a view, a row each: x, y, inverse depth, slopes, standard deviation, pixel, score.
@@ -109,11 +98,15 @@ class PatchScene {
       nb::gil_scoped_release release;
       const Agreement agreement(views_, sites_, patches_, options);
       ParallelFor(int64_t(views_.size()), num_threads, [&](int64_t v, int) {
+        agreed[v].reserve(CountFound(int(v)));
         const std::vector<int> around(others.data() + other_offsets(v),
                                       others.data() + other_offsets(v + 1));
         for (size_t i = 0; i < patches_[v].size(); ++i)
           if (patches_[v][i].unit > 0) agreed[v].push_back(agreement.Of(int(v), int(i), around));
       });
+      size_t total = 0;
+      for (const auto& of : agreed) total += of.size();
+      rows.reserve(5 * total), values.reserve(7 * total), offsets.reserve(total + 1);
       for (size_t v = 0; v < views_.size(); ++v) {
         size_t at = 0;
         for (size_t i = 0; i < patches_[v].size(); ++i) {
@@ -129,6 +122,7 @@ class PatchScene {
           views.insert(views.end(), of.views.begin(), of.views.end());
           offsets.push_back(int64_t(views.size()));
         }
+        agreed[v] = {};
       }
     }
     const size_t count = offsets.size() - 1, total = views.size();
@@ -163,6 +157,11 @@ class PatchScene {
   }
 
  private:
+  int64_t CountFound(int v) const {
+    return std::count_if(patches_[v].begin(), patches_[v].end(),
+                         [](const FoundPatch& patch) { return patch.unit > 0; });
+  }
+
   std::vector<Picture8> grays_;
   int step_;
   std::vector<PatchView> views_;
@@ -212,8 +211,8 @@ void BindPatches(nb::module_& m) {
                     std::vector<Picture8>, Longs, Ints, int>(),
            "rotations"_a, "translations"_a, "focals"_a, "principals"_a, "grays"_a,
            "neighbor_offsets"_a, "neighbors"_a, "step"_a)
-      .def("search", &PatchScene::Search, "active"_a, "hypotheses"_a, "ranges"_a, "flat"_a,
-           "min_cosine"_a, "num_sweeps"_a, "believed"_a, "seed"_a, "num_threads"_a)
+      .def("search", &PatchScene::Search, "view"_a, "active"_a, "hypotheses"_a, "low"_a, "high"_a,
+           "flat"_a, "min_cosine"_a, "num_sweeps"_a, "believed"_a, "seed"_a)
       .def("found", &PatchScene::Found, "view"_a)
       .def("agreed", &PatchScene::Agreed, "other_offsets"_a, "others"_a, "max_off_px"_a,
            "num_threads"_a)

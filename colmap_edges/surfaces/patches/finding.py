@@ -32,6 +32,7 @@ from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_view
 from colmap_edges.errors import ColmapEdgesError, check_type
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ViewSelectionOptions
+from colmap_edges.runtime.executors import in_threads
 from colmap_edges.surfaces.faces.grids import Grid, arrays_of, blank_grid
 from colmap_edges.surfaces.information import MIN_COSINE
 from colmap_edges.surfaces.patches.depths import NO_DEPTHS, Depths, depths_of
@@ -146,20 +147,7 @@ def find_patches(
         num_threads: threads; the result does not depend on them.
     """
     grids = [pictures.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
-    neighborhood = select_views(model, ViewSelectionOptions(max_angle_deg=MAX_ANGLE_DEG))
-    known = SeenPoints.of_model(model), SeenPoints.of_edges(edges)
-    sfm, on_edges = (places_in(model, grids, of) for of in known)
-    active = [textured_sites(grid, at) for grid, (at, _) in zip(grids, on_edges, strict=True)]
-    hypotheses = [
-        hypotheses_at(sites, *(np.concatenate(of) for of in zip(points, edge, strict=True)))
-        for sites, points, edge in zip(active, sfm, on_edges, strict=True)
-    ]
-    scene = make_scene(model, grids, neighborhood)
-    ranges = np.array([of.of_points for of in neighborhood.ranges]).reshape(-1, 2)
-    steps = (LEAST_VARIANCE, MIN_COSINE, NUM_SWEEPS, BELIEVED, seed, num_threads)
-    num_found = scene.search([of.view(np.uint8) for of in active], hypotheses, ranges, *steps)
-    others = around(neighborhood.observing_views)
-    agreed = Agreed(*scene.agreed(*others, MAX_OFF_PX, num_threads))
+    agreed, active, num_found = find_agreed(model, edges, grids, seed, num_threads)
     accepted, num_sites = are_accepted(agreed), sum(int(of.sum()) for of in active)
     if accepted.sum() < MIN_AGREED_SHARE * num_sites:
         accepted &= are_among_others(accepted, agreed, active)
@@ -176,6 +164,33 @@ def find_patches(
             np.diff(agreed.offsets)[accepted],
         ),
     )
+
+
+def find_agreed(
+    model: Model, edges: Edges3D, grids: Sequence[Grid], seed: int, num_threads: int
+) -> tuple[Agreed, list[BoolArray], int]:
+    """Search the patches of all views.
+
+    Returns:
+        The patches with what other views say of them, per view (rows, columns) whether sites have
+        texture and no edge, and the number of patches.
+    """
+    neighborhood = select_views(model, ViewSelectionOptions(max_angle_deg=MAX_ANGLE_DEG))
+    known = SeenPoints.of_model(model), SeenPoints.of_edges(edges)
+    sfm, on_edges = (places_in(model, grids, of) for of in known)
+    scene = make_scene(model, grids, neighborhood)
+    steps = (LEAST_VARIANCE, MIN_COSINE, NUM_SWEEPS, BELIEVED, seed)
+
+    def search(view: int) -> tuple[BoolArray, int]:
+        sites = textured_sites(grids[view], on_edges[view][0])
+        places = (np.concatenate(of) for of in zip(sfm[view], on_edges[view], strict=True))
+        given = (sites.view(np.uint8), hypotheses_at(sites, *places))
+        return sites, scene.search(view, *given, *neighborhood.ranges[view].of_points, *steps)
+
+    searched = in_threads(search, range(len(grids)), num_threads)
+    active, num_found = [sites for sites, _ in searched], sum(count for _, count in searched)
+    others = around(neighborhood.observing_views)
+    return Agreed(*scene.agreed(*others, MAX_OFF_PX, num_threads)), active, num_found
 
 
 class Agreed(NamedTuple):

@@ -72,10 +72,11 @@ def test_wrong_arrays_are_told(rng):
     with pytest.raises(ValueError, match="hold a window"):
         scene_of(*views, [gray[:5] for gray in grays])
     scene = scene_of(*views, grays)
-    sites = [np.ones((2, 2), np.uint8)] * 2
-    none = [np.zeros((2, 2, 1, 3), np.float32)] * 2
+    sites, none = np.ones((2, 2), np.uint8), np.zeros((2, 2, 1, 3), np.float32)
     with pytest.raises(ValueError, match="sites differ"):
-        scene.search(sites, none, np.array([[0.1, 1], [0.1, 1]]), 1.0, 0.2, 1, 0.7, 0, 1)
+        scene.search(0, sites, none, 0.1, 1, 1.0, 0.2, 1, 0.7, 0)
+    with pytest.raises(ValueError, match="out of range"):
+        scene.search(2, sites, none, 0.1, 1, 1.0, 0.2, 1, 0.7, 0)
 
 
 def first_hits(triangles, rays):
