@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import shutil
 import tempfile
 import weakref
@@ -64,8 +65,7 @@ class DiskBackend:
         path = self.path(view)
         try:
             with path.open("wb") as file:
-                for entry in fields(graph):
-                    np.save(file, np.ascontiguousarray(getattr(graph, entry.name)))
+                pickle.dump({entry.name: getattr(graph, entry.name) for entry in fields(graph)}, file)
         except OSError as error:
             raise ColmapEdgesError(
                 f"cannot keep edge graphs in {path.parent} ({error.strerror or error}); free space "
@@ -76,7 +76,7 @@ class DiskBackend:
     def read(self, view: int) -> EdgeGraph:
         """Read the graph of a view."""
         with self.path(view).open("rb") as file:
-            return EdgeGraph(**{entry.name: np.load(file) for entry in fields(EdgeGraph)})
+            return EdgeGraph(**pickle.load(file))
 
 
 @dataclass(frozen=True)
