@@ -65,7 +65,9 @@ class DiskBackend:
         path = self.path(view)
         try:
             with path.open("wb") as file:
-                pickle.dump({entry.name: getattr(graph, entry.name) for entry in fields(graph)}, file)
+                pickle.dump(
+                    {entry.name: getattr(graph, entry.name) for entry in fields(graph)}, file
+                )
         except OSError as error:
             raise ColmapEdgesError(
                 f"cannot keep edge graphs in {path.parent} ({error.strerror or error}); free space "

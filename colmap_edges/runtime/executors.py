@@ -36,7 +36,8 @@ WORKERS_S = 20  # a worker, at the start and after the last one was lost
 WATCH_S = 1  # a result, until the cluster is asked whether it still has workers
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]  # a function and its arguments
-T, R = TypeVar("T"), TypeVar("R")
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, kw_only=True)

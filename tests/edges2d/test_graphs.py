@@ -14,6 +14,7 @@ from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import DiskBackend, Graphs, LRUCache, graph_bytes
 from colmap_edges.edges3d.chains.tracing import trace_edges
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.runtime.executors import in_threads
 from colmap_edges.options import PipelineOptions
 
 VIEWS = known.ring(7)
@@ -122,6 +123,14 @@ def test_kept_graphs_are_not_recomputed():
     assert made == [0, 1, 2, 1]
     sent = pickle.loads(pickle.dumps(kept))
     assert (sent.num_kept, len(sent.things)) == (2, 0)
+
+
+def test_threads_share_the_values_that_are_kept():
+    kept = LRUCache(3)
+    keys = np.random.default_rng(0).integers(0, 8, 4000).tolist()
+    found = in_threads(lambda key: kept.get(key, lambda: [key]), keys, 8)
+    assert found == [[key] for key in keys]
+    assert len(kept.things) == 3
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")

@@ -32,6 +32,7 @@ from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.duplicates import Pieces, merge_pieces
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import PipelineOptions
+from colmap_edges.runtime.executors import in_threads
 
 
 def merge_traced(
@@ -63,20 +64,22 @@ def merge_traced(
     given.graphs.trim()
     starts = offsets_of(np.array([len(t.points) for t in traced]))
     owners = np.searchsorted(starts, merging.takers, "right") - 1
-    edges, contours = [], list(kept.contours)
-    for place, each in enumerate(traced):
+
+    def left_of(place: int) -> tuple[TracedCurves, TracedCurves]:
+        each = traced[place]
         rows = np.flatnonzero(owners == place)
         stays = merging.kept[starts[place] : starts[place + 1]]
         left = chosen(each, find_pieces(each, stays, np.inf, options.tracing)[0], stays)
         takers = np.cumsum(stays)[merging.takers[rows] - starts[place]] - 1
         if len(rows):
             taken = pieces.observations.select(merging.givers[rows])
-            left = refined_with(given, left, takers, taken, options, num_threads)
-        fixed, moving = filter_remains(left, kept.limits, options.tracing)
-        edges.append(fixed)
-        contours.append(moving)
+            left = refined_with(given, left, takers, taken, options)
+        return filter_remains(left, kept.limits, options.tracing)
+
+    found = in_threads(left_of, range(len(traced)), num_threads)
+    edges, contours = [fixed for fixed, _ in found], [moving for _, moving in found]
     count = {"points_merged": int((~merging.kept).sum())}
-    return replace(kept, edges=edges, contours=contours), count
+    return replace(kept, edges=edges, contours=[*kept.contours, *contours]), count
 
 
 def refined_with(
@@ -85,7 +88,6 @@ def refined_with(
     takers: IntArray,
     taken: ChainObservations,
     options: PipelineOptions,
-    num_threads: int,
 ) -> TracedCurves:
     """Refine curves of one reference view on their own observations and those (R,) points take."""
     reference = given.views[traced.reference]
@@ -104,7 +106,7 @@ def refined_with(
         own=given.index(traced.reference),
         others=[given.index(view) for view in others.tolist()],
         options=options.refinement,
-        num_threads=num_threads,
+        num_threads=1,
     )
     curves, table, residuals, information = refit(curves, table, observers)
     drifts = rounding_drifts(curves, table, observers)

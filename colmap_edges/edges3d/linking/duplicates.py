@@ -36,6 +36,7 @@ from colmap_edges.edges2d.edge_index import IndexedGraphs
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import PipelineOptions
+from colmap_edges.runtime.executors import in_threads
 
 MAX_OFFSET_PX = 6.0  # maximum displacement of an edge in an image by light and blur
 
@@ -317,15 +318,19 @@ def view_ratios(
     steps = pieces.spacings[points, None] * pieces.tangents[points]
     places = pieces.points[points], matches.offsets, steps
     order = order_of(seen.views, len(pieces.views))
-    for rows in np.split(order, np.flatnonzero(np.diff(seen.views[order])) + 1):
+
+    def compare_in(rows: IntArray) -> None:
         if len(rows) == 0:
-            continue
+            return
         index, of = given.index(int(seen.views[rows[0]])), seen.matches[rows]
         expected, apart = _kernels.separations(
-            index, *places, of, seen.positions[rows], radius, cosine, num_threads
+            index, *places, of, seen.positions[rows], radius, cosine, 1
         )
         apart = np.nan_to_num(apart)
         llr[rows] = np.clip(expected * (2 * apart - expected) / (2 * noise2), -one, both)
+
+    parts = np.split(order, np.flatnonzero(np.diff(seen.views[order])) + 1)
+    in_threads(compare_in, parts, num_threads)
     return np.nan_to_num(llr, copy=False)
 
 

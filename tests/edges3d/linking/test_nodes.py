@@ -82,7 +82,7 @@ def test_a_node_has_a_deviation_and_a_track_where_it_is_seen(missing):
     edges = met(arms(missing, missing, missing), chains)
     nodes = edges.nodes
     assert 0.2 * SIGMA < nodes.sigmas[0] < 2 * SIGMA
-    [(seen, _)] = look_up(views_of(chains), nodes.observations)
+    [(seen, _)] = look_up(views_of(chains), nodes.observations, num_threads=1)
     assert seen.views.tolist() == [0, 1, 2, 3]
     expected = [view.project(CORNER[None])[0][0] for view in VIEWS[:4]]
     np.testing.assert_allclose(seen.pixels, expected, atol=0.3)

@@ -61,7 +61,7 @@ def scene_of(outlines, lift=0.4):
     """Views that show a body, and the straight pieces of what they show."""
     views, rng = views_around(np.array([0, 0, 0.6]), lift), np.random.default_rng(0)
     graphs = Graphs.of([graph_of(view, outlines(view), rng) for view in views])
-    lines = find_outlines(views, graphs, Edges3D.none()).lines
+    lines = find_outlines(views, graphs, Edges3D.none(), 1).lines
     return SimpleNamespace(views=views, model=model_of(views), lines=lines)
 
 

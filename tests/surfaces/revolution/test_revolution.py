@@ -90,7 +90,7 @@ def scene_of(curves_in):
     """Views that show curves, and the samples of these."""
     views, rng = views_around(CENTER, 0.6), np.random.default_rng(0)
     graphs = Graphs.of([graph_of(view, list(curves_in(view)), rng) for view in views])
-    samples = find_outlines(views, graphs, Edges3D.none()).samples
+    samples = find_outlines(views, graphs, Edges3D.none(), 1).samples
     return SimpleNamespace(views=views, model=model_of(views), samples=samples)
 
 
