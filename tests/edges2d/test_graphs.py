@@ -14,8 +14,8 @@ from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import DiskBackend, Graphs, LRUCache, graph_bytes
 from colmap_edges.edges3d.chains.tracing import trace_edges
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.runtime.executors import in_threads
 from colmap_edges.options import PipelineOptions
+from colmap_edges.runtime.executors import in_threads
 
 VIEWS = known.ring(7)
 CURVES = [known.circle((0, 0, 0), 0.8), known.line((-1, -0.5, 0), (1, 0.4, 0.3))]
