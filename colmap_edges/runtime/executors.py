@@ -45,8 +45,8 @@ class Workers:
     """Executors and resources of a run.
 
     Attributes:
-        images: runs tasks of one image each.
-        views: runs tasks of one view and its neighbours each.
+        images: runs tasks of one image each, or of one view that needs no result of others.
+        views: runs tasks of one view each whose edges other views must not trace again.
         num_view_tasks: useful number of concurrent tasks of `views`.
         threads_per_view: number of threads that each of these tasks uses.
         remote: whether tasks run in other processes, which read edge graphs from the cache.
@@ -67,10 +67,7 @@ class Workers:
 
 @contextmanager
 def local_workers(num_threads: int, cache: Cache | None = None) -> Iterator[Workers]:
-    """Threads of this process: one per image; views are traced one by one, each by all threads.
-
-    This keeps few views in memory, and no thread idles while the last view is processed.
-    """
+    """Threads of this process: one per image; views are traced one by one, each by all threads."""
     with ThreadPoolExecutor(num_threads) as images, ThreadPoolExecutor(1) as views:
         yield Workers(
             images=images, views=views, num_view_tasks=1, threads_per_view=num_threads, cache=cache
