@@ -23,7 +23,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents
-from colmap_edges.core.view import views_with_rows
+from colmap_edges.core.view import rows_by_view, views_with_rows
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 SFM, EDGE = 0, 1  # kinds of points
@@ -222,17 +222,19 @@ def mean_squared_slopes(problem: Problem, state: State) -> FloatArray:
 
     J is (2, 6), the derivative of a point's pixel with respect to the motion of its frame.
     """
-    measured = problem.measured
-    frames, points = problem.frames[measured.views], state.points[measured.owners]
-    rotations, translations = (of[measured.views] for of in poses(problem, state))
-    local = np.einsum("nij,nj->ni", rotations, points) + translations
-    scales = problem.focals_px[measured.views] / local[:, 2]
-    axes = rotations[:, :2] - (local[:, :2] / local[:, 2:])[:, :, None] * rotations[:, 2:]
-    shifts = axes * scales[:, None, None]
-    # A turn w of the frame moves a point at x from its centre by w x x.
-    turns = np.cross((points - frame_centers(problem, state)[frames])[:, None], shifts)
-    slopes = np.concatenate([turns, shifts], axis=2)
-    sums = np.zeros((problem.num_frames, 6, 6))
-    np.add.at(sums, frames, np.einsum("nki,nkj->nij", slopes, slopes))
-    counts = np.bincount(frames, minlength=problem.num_frames)
+    measured, centers = problem.measured, frame_centers(problem, state)
+    owners, sums = measured.owners, np.zeros((problem.num_frames, 6, 6))
+    rows_of = rows_by_view(measured.views, len(problem.frames))
+    for rows, frame, focal_px, rotation, translation in zip(
+        rows_of, problem.frames, problem.focals_px, *poses(problem, state), strict=True
+    ):
+        points = state.points[owners[rows]]
+        local = points @ rotation.T + translation
+        axes = rotation[:2] - (local[:, :2] / local[:, 2:])[:, :, None] * rotation[2]
+        shifts = axes * (focal_px / local[:, 2])[:, None, None]
+        # A turn w of the frame moves a point at x from its centre by w x x.
+        turns = np.cross((points - centers[frame])[:, None], shifts)
+        slopes = np.concatenate([turns, shifts], axis=2).reshape(-1, 6)
+        sums[frame] += slopes.T @ slopes
+    counts = np.bincount(problem.frames[measured.views], minlength=problem.num_frames)
     return np.asarray(sums / np.maximum(counts, 1)[:, None, None])

@@ -9,7 +9,7 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
-from colmap_edges.core.arrays import BoolArray, FloatArray, ranks_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, entries_of, order_of, ranks_of
 from colmap_edges.core.edges3d import AS_GIVEN, AdjustedPoses, Edges3D
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import EDGE, SFM, Problem, State, make_problem
@@ -127,13 +127,13 @@ def with_all_points(
 def enough_points(problem: Problem, num_observations: int, random_seed: int) -> BoolArray:
     """(P,) points chosen by chance, so many that each frame has `num_observations`, or all."""
     measured, count = problem.measured, len(problem.kinds)
-    owners, frames = measured.owners, problem.frames[measured.views]
-    turn = np.random.default_rng(random_seed).permutation(count)[owners]
-    order = np.lexsort((turn, frames))
-    ranks = np.empty(len(order), np.int64)
-    ranks[order] = ranks_of(np.bincount(frames, minlength=problem.num_frames))
+    in_turn = np.argsort(np.random.default_rng(random_seed).permutation(count))
+    rows = entries_of(measured.offsets, in_turn)
+    frames = problem.frames[measured.views[rows]]
+    order = order_of(frames, problem.num_frames)
+    ranks = ranks_of(np.bincount(frames, minlength=problem.num_frames))
     chosen = np.zeros(count, bool)
-    chosen[owners[ranks < num_observations]] = True
+    chosen[measured.owners[rows[order[ranks < num_observations]]]] = True
     return chosen
 
 
