@@ -45,7 +45,7 @@ class PlaneSearch {
     Score(planes, least);
     std::vector<Plane> found;
     std::vector<PointSet> owned;
-    std::vector<Filled> tried;
+    std::vector<Tried> tried;
     // Weights only decrease, so a candidate is weighed again only when no other may have more.
     std::priority_queue<std::pair<double, int64_t>> queue;  // the first of equals first
     for (size_t c = 0; c < candidates_.size(); ++c)
@@ -63,11 +63,13 @@ class PlaneSearch {
       if (!plane) continue;
       plane = Snapped(*plane);
       const PointSet own = On(*plane, options_.tolerance);
-      tried.emplace_back();
+      tried.push_back({plane->normal, {}});
       for (size_t b = 0; b < own.size(); ++b)
-        if (own[b]) tried.back().emplace_back(b, own[b]);
-      const auto same = [&](const PointSet& other) { return AreSame(own, other); };
-      if (std::any_of(owned.begin(), owned.end(), same)) continue;
+        if (own[b]) tried.back().points.emplace_back(b, own[b]);
+      bool is_new = true;
+      for (size_t k = 0; k < found.size() && is_new; ++k)
+        is_new = !AreSame(own, owned[k], MostShared(plane->normal, found[k].normal));
+      if (!is_new) continue;
       VisitPoints(own.data(), own.size(), [&](size_t i) {
         weights_[i] *= 1 - (1 - options_.explained_weight) * Closeness(*plane, i);
       });
@@ -79,7 +81,10 @@ class PlaneSearch {
   }
 
  private:
-  using Filled = std::vector<std::pair<size_t, uint64_t>>;  // a set's blocks that are not empty
+  struct Tried {
+    Vec3 normal;
+    std::vector<std::pair<size_t, uint64_t>> points;  // the blocks of the set that are not empty
+  };
 
   struct Candidate {
     Plane plane;
@@ -129,7 +134,7 @@ class PlaneSearch {
       const PointSet own = On(plane, options_.tolerance);
       bool is_end = false, is_new = true;
       for (size_t k = 0; k < found->size() && is_new; ++k) {
-        if (!AreSame(own, owned[k])) continue;
+        if (!AreSame(own, owned[k], options_.same_share)) continue;
         is_new = std::abs(Dot(plane.normal, (*found)[k].normal)) < kSnapCosine;
         is_end = is_end || (k < count && Ends(owned[k], plane));
       }
@@ -164,14 +169,16 @@ class PlaneSearch {
   }
 
   // Whether not too much of a candidate lies on any tried plane.
-  bool IsOpen(const std::vector<Filled>& tried, Candidate* candidate) const {
+  bool IsOpen(const std::vector<Tried>& tried, Candidate* candidate) const {
     for (; candidate->seen < tried.size(); ++candidate->seen) {
+      const Tried& other = tried[candidate->seen];
       double shared = 0;
-      for (const auto& [b, word] : tried[candidate->seen]) {
+      for (const auto& [b, word] : other.points) {
         const uint64_t both = word & words_[candidate->first + b];
         VisitPoints(&both, 1, [&, at = &whole_[64 * b]](size_t i) { shared += at[i]; });
       }
-      if (shared > options_.same_share * candidate->weight) return false;
+      if (shared > MostShared(candidate->plane.normal, other.normal) * candidate->weight)
+        return false;
     }
     return true;
   }
@@ -189,11 +196,17 @@ class PlaneSearch {
   }
   double Weight(const PointSet& set) const { return Weight(set.data(), whole_); }
 
-  // Whether most of what lies on one of two planes lies on the other.
-  bool AreSame(const PointSet& one, const PointSet& other) const {
+  // Share of the points of a plane that another plane may have. Of planes at an angle, those of a
+  // slope of a roof lie on the walls around it, too.
+  double MostShared(const Vec3& normal, const Vec3& other) const {
+    return std::abs(Dot(normal, other)) > kParallel ? options_.same_share : kSharedAtAngle;
+  }
+
+  // Whether more than a share of what lies on one of two planes lies on the other.
+  bool AreSame(const PointSet& one, const PointSet& other, double share) const {
     PointSet both(one.size());
     for (size_t b = 0; b < one.size(); ++b) both[b] = one[b] & other[b];
-    return Weight(both) > options_.same_share * std::min(Weight(one), Weight(other));
+    return Weight(both) > share * std::min(Weight(one), Weight(other));
   }
 
   // The plane fitted to what is near it, the closest the most.
@@ -271,6 +284,8 @@ class PlaneSearch {
   }
 
   static constexpr double kSnapCosine = 0.984807753012208;  // of 10 degrees
+  static constexpr double kParallel = 0.9396926207859084;   // of 20 degrees
+  static constexpr double kSharedAtAngle = 0.95;
   static constexpr double kBeyond = 0.05;  // of a plane's points, behind the one at which it ends
   static constexpr int kMinPoints = 8;     // that a plane is fitted to
   // Of the tolerance in the steps of a fit.

@@ -120,3 +120,22 @@ def test_no_wall_stands_on_a_line_of_a_pattern(seed):
     evidence = evidence_of(points, tangents, np.ones(len(points)))
     found = walls_across_x(find_planes(evidence, CENTERS, np.random.default_rng(seed)))
     assert found == pytest.approx([0, 3], abs=SIGMA)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_most_lines_of_a_slope_may_lie_on_a_wall(seed):
+    """The slope of an attic is known by its line on a gable, and a part of that on a low wall.
+
+    Cameras on both sides of it tell that it is not taken for a plane at which others end.
+    """
+    gable = [((0.0, 0, 0), (3.0, 0, 0)), ((0.0, 0, 0), (0.0, 0, 2)), ((0.0, 0, 2), (2.0, 0, 2))]
+    low = [((3.0, 0, 0), (3.0, 3, 0)), ((3.0, 0, 0), (3.0, 0, 1)), ((3.0, 3, 0), (3.0, 3, 1))]
+    lines = lines_of(*gable, *low, ((3.0, 0, 1), (2.0, 0, 2)))
+    part = lines_of(((3.0, 0, 1), (3.0, 0.6, 1)), count=30)
+    points, tangents = (np.concatenate(of) for of in zip(lines, part, strict=True))
+    points += SIGMA / 2 * np.random.default_rng(seed).normal(size=points.shape)
+    evidence = evidence_of(points, tangents, np.ones(len(points)))
+    around = np.array([[1.0, 0.5, -100], [5.0, 0.5, 5]])
+    planes = find_planes(evidence, around, np.random.default_rng(seed))
+    slope = np.array([1.0, 0, 1]) / np.sqrt(2)
+    assert error_of(planes, slope, 4 / np.sqrt(2)) < 0.1
