@@ -82,7 +82,7 @@ def find_envelopes(
     def calls() -> Iterator[Call]:
         for view in range(given.num_views):
             part = given.part(view, given.neighbors[view], workers)
-            yield envelopes_of, (part, view, near.ranges[view], options, 1)
+            yield envelopes_of, (part, view, near.ranges[view], options)
 
     found: list[Envelopes] = run_all(workers.images, calls(), check=workers.check)
     return joined_tables(found)
@@ -93,13 +93,12 @@ def envelopes_of(
     view: int,
     depth_range: DepthRange,
     options: ChainDepthOptions,
-    num_threads: int,
 ) -> Envelopes:
     """Find the outlines on the chains of a view."""
     graph, own = given.graph(view), given.views[view]
     samples, offsets = samples_on_long_chains(graph)
     matched = matching(given, view, samples, offsets, depth_range, options)
-    columns, supports = _kernels.envelopes(**matched, num_threads=num_threads)
+    columns, supports = _kernels.envelopes(**matched, num_threads=1)
     inverse_depths, radii, sigmas = columns[:3]
     runs = find_runs(radii, sigmas, *supports)
     rows = np.flatnonzero(runs >= 0)

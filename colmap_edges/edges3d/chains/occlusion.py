@@ -55,7 +55,6 @@ def find_hidden(
             np.concatenate([sigmas[seen], np.zeros(len(around))]),
             np.concatenate([curves[seen], np.full(len(around), -1)]),
             radius_px,
-            1,
         )
         # Of the neighbours at the same depth.
         hidden[own] = (nearer > 0.5 * agreeing)[: len(own)]
@@ -70,7 +69,6 @@ def count_around(
     sigmas: FloatArray,
     curves: IntArray,
     radius_px: float,
-    num_threads: int,
 ) -> tuple[IntArray, IntArray]:
     """Count, for each of (N, 3) points, its neighbours in an image that are nearer or equally far.
 
@@ -89,7 +87,7 @@ def count_around(
         curves[ahead],
         max(radius_px, 0.01),  # neighbours may coincide in the image
         MAX_SLOPE / view.focal_px,
-        num_threads,
+        num_threads=1,
     )
     nearer, agreeing = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     nearer[ahead], agreeing[ahead] = counts

@@ -22,7 +22,7 @@ MIN_SHARE = 0.002  # minimum share of all edges' length on a plane
 MAX_PLANES = 60  # maximum number of planes with much evidence
 MAX_ENDS = 10  # maximum number of planes at which others end, besides those
 EXPLAINED_WEIGHT = 0.3  # weight of edges after each plane that they lie on: two meet at an edge
-SAME_SHARE = 0.7  # maximum share of shared points of nearly parallel planes, else 0.95
+SAME_SHARE = 0.7  # maximum share of shared points of planes within 20 degrees of each other
 MAX_BEYOND = 0.05  # maximum share of views behind a plane at which others end
 SNAP_GAIN = 0.97  # minimum share of a plane's support kept when it takes a common normal
 
